@@ -34,7 +34,7 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
-from spiral.types.effect import ForceEffect
+from spiral.types.effect import ForceEffect, ParameterEffect
 from spiral.types.formatting import number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
@@ -345,8 +345,14 @@ def _look_alikes_clause(rounds: Sequence[Round], label: str, admitted: tuple[str
 
 
 def label_with_place(model: Model, label: str) -> str:
-    """An effect of a model with its place, where its label leaves out that it is the first."""
+    """An effect of a model with its place, where its label leaves out that it is the first.
+
+    Of a parameter that varies it is said what it follows.
+    """
     effect = next((e for e in model.effects if e.label == label), None)
+    if isinstance(effect, ParameterEffect):
+        port = model.system.place(effect)
+        return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
     if effect is None or effect.port or len(at_every_place(model.system, effect)) < 2:
         return label
     port = model.system.place(effect)

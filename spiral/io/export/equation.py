@@ -12,10 +12,10 @@ from sympy.printing.str import StrPrinter
 from spiral.io.export.names import latex_text, sanitise_text
 from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import TracedModel, trace
-from spiral.types.effect import SensorEffect
-from spiral.types.label import parameter_of
+from spiral.types.effect import Effect, ParameterEffect, SensorEffect
+from spiral.types.label import owner_of, parameter_of
 from spiral.types.model import Model
-from spiral.types.system import has_coordinates
+from spiral.types.system import has_coordinates, varied_key
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _GREEK = {"alpha": "α", "beta": "β", "theta": "θ", "phase": "θ", "speed": "Ω"}
@@ -46,7 +46,7 @@ def model_equations(model: Model) -> tuple[tuple[Equation, ...], TracedModel]:
     """
     whole = trace(model.system, model.effects)
     bare = trace(model.system, ())
-    alone = {e.label: trace(model.system, (e,)) for e in model.effects}
+    alone = {e.label: _traced_without_and_with(model, e) for e in model.effects}
     base = _substitute_values(bare, model)
     listed = []
     for name in whole.states:
@@ -55,13 +55,11 @@ def model_equations(model: Model) -> tuple[tuple[Equation, ...], TracedModel]:
         terms = []
         if name in bare.states:
             terms.append(EquationTerm("", base.rate[base.states.index(name)]))
-        for label, one in alone.items():
-            seen = _substitute_values(one, model)
-            if name in one.states:
-                own = seen.rate[seen.states.index(name)]
-                before = (
-                    base.rate[base.states.index(name)] if name in bare.states else sp.Integer(0)
-                )
+        for label, (less, more) in alone.items():
+            if name in more.states:
+                own = more.rate[more.states.index(name)]
+                known = name in less.states
+                before = less.rate[less.states.index(name)] if known else sp.Integer(0)
                 terms.append(
                     EquationTerm(
                         label, _shorter_difference(_linearise_program_calls(own, before), before)
@@ -70,6 +68,16 @@ def model_equations(model: Model) -> tuple[tuple[Equation, ...], TracedModel]:
         terms = [EquationTerm(t.owner, _name_program_calls(t.value)) for t in terms]
         listed.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
     return (*listed, *_reading_equations(model)), whole
+
+
+def _traced_without_and_with(model: Model, effect: Effect) -> tuple[TracedModel, TracedModel]:
+    """The system without an effect and with it, values in place; with what the effect changes."""
+    changed = ""
+    if isinstance(effect, ParameterEffect):
+        changed = owner_of(varied_key(model.system.place(effect)))
+    beside = tuple(e for e in model.effects if e.label == changed)
+    less, more = trace(model.system, beside), trace(model.system, (*beside, effect))
+    return _substitute_values(less, model), _substitute_values(more, model)
 
 
 def equation_text(model: Model) -> str:

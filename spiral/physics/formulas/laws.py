@@ -157,6 +157,14 @@ FRICTIONS = (
         _RATE,
         {"n": 0.0},
     ),
+    Law(
+        "peak_friction_law",
+        "A damper whose force falls again beyond a rate (an eddy-current brake)",
+        "-2*a*(v/l)/(1 + (v/l)*(v/l))",
+        {"l": (0.1, 0.25, 0.6)},
+        _RATE,
+        {"l": 0.0},
+    ),
     Law("polynomial_friction_law", "A polynomial of the rate", "-a*v*abs(v) - b*v**3"),
 )
 _HALF = {"K": "position"}
@@ -198,6 +206,14 @@ FLOWS = (
         "-a*maximum(s - K, 0)",
         {"K": (0.2, 0.5, 0.75)},
         _HALF,
+    ),
+    Law(
+        "peak_loss_law",
+        "A loss that falls again beyond a level (Kloss's motor, Haldane's inhibition)",
+        "-2*a*(s/K)/(1 + (s/K)*(s/K))",
+        {"K": (0.1, 0.25, 0.6)},
+        _HALF,
+        {"K": 0.0},
     ),
     Law(
         "inverse_loss_law",

@@ -1,0 +1,163 @@
+"""Parameters that follow a state, an input or time: right as effects, and named where they act."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import sympy as sp
+from scipy.linalg import expm
+from spiral_plugins.effects.varying import (
+    ExponentialChange,
+    LinearChange,
+    PowerChange,
+    QuadraticChange,
+    SaturatingChange,
+    SwitchedChange,
+)
+
+import spiral
+from spiral.inference.problem import silent
+from spiral.io.export.equation import equation_text
+from spiral.physics.signatures import SystemMotion, signatures
+from spiral.physics.trace import trace
+from spiral.types.model import seed_model
+from spiral.types.placement import at_every_place, fits
+from spiral.types.record import make_record
+from tests.scenes import registry
+
+OSCILLATOR = registry().make("system", "oscillator")
+SAMPLES, STEP, HELD = 1600, 5.0, 40  # samples, s, samples for which power and flow stay
+FORMS = [
+    (LinearChange, {"slope": 0.3}, lambda v: 1 + 0.3 * v),
+    (QuadraticChange, {"slope": 0.3, "curvature": -0.1}, lambda v: 1 + 0.3 * v - 0.1 * v * v),
+    (PowerChange, {"exponent": 0.8, "unit": 2.0}, lambda v: np.hypot(v / 2, 0.01) ** 0.8),
+    (ExponentialChange, {"rate": -0.4}, lambda v: np.exp(-0.4 * v)),
+    (SaturatingChange, {"change": 0.5, "scale": 0.7}, lambda v: 1 + 0.5 * np.tanh(v / 0.7)),
+    (SwitchedChange, {"change": 0.5, "point": 1.0, "width": 1e-3}, lambda v: 1 + 0.5 * (v > 1)),
+]
+
+
+def heater():
+    """Cc Tc' = P - h (Tc - Tw), Cw Tw' = h (Tc - Tw) - g Tw: the core Tc is hidden."""
+
+    def rhs(t, x, u, p):
+        passed = p.h * (x.Tc - x.Tw)
+        return (u.P - passed) / p.Cc, (passed - p.g * x.Tw) / p.Cw
+
+    return spiral.system(
+        rhs,
+        states={"Tc": {"unit": "K", "like": "Tw"}, "Tw": "K"},
+        inputs={"P": {"unit": "W", "interpolation": "zero_order"},
+                "q": {"unit": "kg/s", "interpolation": "zero_order"}},
+        observed=["Tw"],
+        parameters={"h": (33.0, "W/K"), "g": (11.0, "W/K"), "Cc": (4000.0, "J/K"),
+                    "Cw": (9500.0, "J/K")},
+        free=["h", "g", "Cw"],
+    )  # fmt: skip
+
+
+def record_of(system, conductance, seed, noise=0.01):
+    """A record of the heater, exact for held inputs, with white noise on Tw."""
+    rng = np.random.default_rng(seed)
+    power, flow = (np.repeat(rng.uniform(low, high, SAMPLES // HELD), HELD)
+                   for low, high in ((200, 1500), (0.2, 1.5)))  # fmt: skip
+    states, x = np.zeros((SAMPLES, 2)), np.zeros(2)
+    for k in range(SAMPLES):
+        states[k] = x
+        if k % HELD == 0:
+            h = conductance(flow[k])
+            rates = np.zeros((3, 3))  # the third state is one
+            rates[0] = -h / 4000, h / 4000, power[k] / 4000
+            rates[1] = h / 9000, -(h + 12) / 9000, 0
+            over = expm(rates * STEP)
+        x = over[:2, :2] @ x + over[:2, 2]
+    seen = states[:, 1] + noise * states[:, 1].std() * rng.normal(size=SAMPLES)
+    time = np.arange(SAMPLES) * STEP
+    return make_record(system, f"seed {seed}", time, {"Tw": seen}, {"P": power, "q": flow})
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "factor"), FORMS, ids=lambda x: getattr(x, "__name__", "")
+)
+def test_the_factor_is_its_equation_and_one_where_nothing_changes(kind, values, factor):
+    v = np.linspace(0.2, 1.9, 60)  # no grid point at the switch
+    at = SimpleNamespace(position=(v,))
+    still = {p.name: 0.0 if p.role == "amplitude" else values[p.name] for p in kind.parameters}
+    np.testing.assert_allclose(
+        kind().factor(at, None, SimpleNamespace(**values)), factor(v), rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        kind().factor(at, None, SimpleNamespace(**still)), np.ones(60), rtol=0, atol=0
+    )
+
+
+def test_the_traced_model_is_the_system_with_the_parameter_times_the_factor():
+    system = heater()
+    plain, varied = trace(system, ()), trace(system, (LinearChange(port="h-Tc"),))
+    at = dict(zip(varied.keys, varied.p, strict=True))
+    acting = at["system.h"] * (1 + at["linear_change@h-Tc.slope"] * varied.x[0])
+    swap = {s: at[k] for k, s in zip(plain.keys, plain.p, strict=True)} | {
+        plain.p[plain.keys.index("system.h")]: acting
+    }
+    for before, after in zip(plain.rate, varied.rate, strict=True):
+        assert sp.simplify(sp.sympify(before).subs(swap, simultaneous=True) - after) == 0
+
+
+def test_a_parameter_of_a_seeds_effect_varies_too_and_the_equation_says_so():
+    effect = LinearChange(port="linear_stiffness.stiffness-time")
+    model = seed_model(OSCILLATOR).add(effect, {f"{effect.label}.slope": -0.01})
+    traced = trace(OSCILLATOR, model.effects)
+    x, time = traced.x[0], traced.u[traced.inputs.index("time")]
+    assert sp.diff(traced.rate[1], x, time) != 0
+    assert effect.label in equation_text(model)
+
+
+def test_the_slope_along_a_motion_is_the_derivative_of_the_traced_model():
+    system, rng = heater(), np.random.default_rng(1)
+    states, inputs = rng.normal(size=(7, 2)) + 3, np.abs(rng.normal(size=(7, 3))) + 0.1
+    values = {"h": 30.0, "g": 12.0, "Cc": 4000.0, "Cw": 9000.0}
+    effect = ExponentialChange(port="h-q")
+    traced = trace(system, (effect,))
+    symbols = [*traced.x, *traced.u, *traced.p]
+    amplitude = traced.p[traced.keys.index(f"{effect.label}.rate")]
+    h = traced.p[traced.keys.index("system.h")]
+    rows = [[*x, *u, *values.values(), 0.0] for x, u in zip(states, inputs, strict=True)]
+    assert [k.rpartition(".")[2] for k in traced.keys] == [*values, "rate"]
+
+    def along(symbol, scale=1.0):
+        slopes = sp.lambdify(symbols, [sp.diff(r, symbol) for r in traced.rate], "numpy")
+        return np.array([slopes(*row) for row in rows]) * scale
+
+    motion = SystemMotion(
+        system, states, inputs, along(h), states[:, 1:], values,
+        by_parameter={"system.h": (along(h, 30.0), np.zeros((7, 1)))},
+    )  # fmt: skip
+    pushes, readings = signatures(motion, effect, {})
+    np.testing.assert_allclose(pushes[:, :, 0], along(amplitude), rtol=1e-6)
+    assert not readings.any()
+
+
+def test_every_form_stands_at_every_parameter_and_what_it_may_follow():
+    system = heater()
+    places = {e.port for e in at_every_place(system, LinearChange()) if fits(system, e)}
+    assert places == {
+        f"{p}-{v}" for p in ("h", "g", "Cc", "Cw") for v in ("Tc", "Tw", "P", "q", "time")
+    }
+    labels = {e.label for e in registry().candidates(system, everywhere=True)}
+    assert not any("_change@" in label for label in labels)  # no candidates of the first rounds
+
+
+def test_a_conductance_that_grows_with_a_power_of_the_flow_is_named():
+    system = heater()
+    fit, test = (record_of(system, lambda q: 30 * q**0.8, seed) for seed in (1, 2))
+    run = spiral.discover(fit, system, test=test, progress=silent)
+    assert run.missing == ("power_change@h-q",)
+    told = run.model.estimates()["power_change@h-q"]["exponent"]
+    assert abs(told.estimate - 0.8) < 3 * told.se
+    assert run.rounds[-1].comparison.test_error < 1.1 * run.rounds[-1].comparison.noise_floor
+
+
+def test_a_steady_conductance_varies_with_nothing():
+    system = heater()
+    fit, test = (record_of(system, lambda q: 30.0, seed) for seed in (3, 4))
+    assert spiral.discover(fit, system, test=test, progress=silent).verdict == "nothing_missing"
