@@ -76,19 +76,41 @@ def _run_rounds(
 ) -> Run:
     settings = assembly.problem.settings
     stopped: StopReason = "max_rounds"
+    if settings.seconds > 0:
+        progress = _progress_until(time.perf_counter() + settings.seconds, progress)
     while True:
         keep(at)
         clock = time.perf_counter()
         if len(at.rounds) > settings.max_rounds:
             tell(at.rounds[-1])
             break
-        at, step = rank_last_round(strategy, assembly, at, progress)
-        tell(at.rounds[-1])
-        if not step.admitted:
-            stopped = step.stopped
+        try:
+            at, step = rank_last_round(strategy, assembly, at, progress)
+            tell(at.rounds[-1])
+            if not step.admitted:
+                stopped = step.stopped
+                break
+            at = admit_step(strategy, assembly, at, step, progress, time.perf_counter() - clock)
+        except _TimeOverError:
+            stopped = "max_seconds"
+            tell(at.rounds[-1])
             break
-        at = admit_step(strategy, assembly, at, step, progress, time.perf_counter() - clock)
     return conclude_study(at, stopped, settings)
+
+
+class _TimeOverError(Exception):
+    """``settings.seconds`` are over."""
+
+
+def _progress_until(end: float, progress: Progress) -> Progress:
+    """A progress function that ends the search once a moment has passed (``time.perf_counter``)."""
+
+    def tell_in_time(message: str) -> None:
+        if time.perf_counter() > end:
+            raise _TimeOverError
+        progress(message)
+
+    return tell_in_time
 
 
 @one_blas_thread

@@ -34,6 +34,8 @@ class Settings:
     level : family-wise error of a whole study, spent over its rounds.
     smallest : smallest change of the predicted response that counts, in noise standard deviations.
     max_rounds : rounds after which the loop stops.
+    seconds : time from which the search ends with what is known by then; 0 for no limit. The fit of
+        the seed is not interrupted.
     alias_level : significance at which two candidates' prediction errors are told apart.
     whiteness_level : significance at which residuals are called coloured.
     lags : lags of the Ljung-Box statistic.
@@ -54,6 +56,7 @@ class Settings:
     level: float = 0.01
     smallest: float = 0.1
     max_rounds: int = 8
+    seconds: float = 0.0
     alias_level: float = 0.01
     whiteness_level: float = 0.001
     lags: int = 40

@@ -247,6 +247,8 @@ def study_summary(
     if not admitted:
         if stopped == "diverged":
             return "The fit diverged."
+        if stopped == "max_seconds":
+            return _unfinished_sentence(last, settings)
         return seed_sentence(verdict, rounds, settings)
     if _is_replaced_by_curve(rounds):
         return _curve_summary(rounds, admitted)
@@ -264,7 +266,21 @@ def study_summary(
     if reasons := shortfalls(last, settings):
         more = "More is missing" if last.converged else "Whether more is missing cannot be told"
         said.append(f"{more}: {'; '.join(reasons)}.")
+    if stopped == "max_seconds":
+        said.append(search_end_sentence(settings))
     return " ".join(filter(None, [*said, random_sentence(last), record_sentence(last)]))
+
+
+def search_end_sentence(settings: Settings) -> str:
+    """That the search ended for want of time."""
+    return f"The search ended after {number(settings.seconds)} s, before all candidates were tried."
+
+
+def _unfinished_sentence(comparison: Comparison, settings: Settings) -> str:
+    """What is known of a seed when the search ended for want of time."""
+    reasons = shortfalls(comparison, settings)
+    said = f"Something is missing: {'; '.join(reasons)}." if reasons else ""
+    return f"{search_end_sentence(settings)} No candidate was confirmed until then. {said}".strip()
 
 
 def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:

@@ -17,9 +17,11 @@ Verdict = Literal["effect_missing", "nothing_missing", "not_identifiable", "unkn
 """What a study says of its seed: an effect is missing and named; nothing is missing; the record
 cannot tell the model's effects apart; something is missing that no candidate explains."""
 
-StopReason = Literal["whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds"]
+StopReason = Literal[
+    "whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds", "max_seconds"
+]
 """How a study ended: what is left is white; no candidate passed; the record cannot tell; a fit did
-not converge; as many rounds as ``settings.max_rounds`` were made."""
+not converge; as many rounds as ``settings.max_rounds`` were made; ``settings.seconds`` were over."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from spiral.types.record import make_record
 from tests.scenes import registry
 
 OSCILLATOR = registry().make("system", "oscillator")
-SAMPLES, STEP, HELD = 1600, 5.0, 40  # samples, s, samples for which power and flow stay
+SAMPLES, STEP, HELD = 1000, 5.0, 40  # samples, s, samples for which power and flow stay
 FORMS = [
     (LinearChange, {"slope": 0.3}, lambda v: 1 + 0.3 * v),
     (QuadraticChange, {"slope": 0.3, "curvature": -0.1}, lambda v: 1 + 0.3 * v - 0.1 * v * v),
@@ -161,3 +161,12 @@ def test_a_steady_conductance_varies_with_nothing():
     system = heater()
     fit, test = (record_of(system, lambda q: 30.0, seed) for seed in (3, 4))
     assert spiral.discover(fit, system, test=test, progress=silent).verdict == "nothing_missing"
+
+
+def test_a_search_that_may_take_no_time_ends_with_what_is_known():
+    system = heater()
+    record = record_of(system, lambda q: 30 * q**0.8, 1)
+    run = spiral.discover(record, system, settings={"seconds": 1e-3}, progress=silent)
+    assert (run.stopped, run.missing, len(run.rounds)) == ("max_seconds", (), 1)
+    assert "ended after 0.001 s" in run.summary
+    assert "settings.seconds" in run.advice

@@ -97,10 +97,14 @@ def prefer_special_case(
     """A winner, or the special case of it that explains the records as well, or a likelier twin.
 
     These may have dropped out of the race early, while they still had to find the width of a
-    friction, say. Twins that are not told from the winner are among its aliases.
+    friction, say. Twins that are not told from the winner are among its aliases. Where effects that
+    the model had are let go for it, others at its place are held against it as well: they were
+    raced beside what is gone.
     """
     whole, held = passed.whole, passed.rival.ranked.variant
-    others = _declared_look_alikes(whole.assembly, held)
+    declared = _declared_look_alikes(whole.assembly, held)
+    beside = _labels_at_same_place(whole.assembly, held) if whole.settled.retired else ()
+    others = tuple(dict.fromkeys((*declared, *beside)))
     if not others:
         return passed
     again = _contest_effects(options, whole.assembly, whole.fit, (held,), others, progress)
@@ -108,7 +112,8 @@ def prefer_special_case(
         return passed
     likelier = again.find_likelier(options, whole.settled.comparison, progress)
     if likelier is None:
-        return replace(passed, aliases=tuple(dict.fromkeys((*passed.aliases, *again.twins))))
+        alike = (*again.twins, *(x for x in again.aliases if x in beside))
+        return replace(passed, aliases=tuple(dict.fromkeys((*passed.aliases, *alike))))
     gone = tuple(x for x in likelier.passed.whole.settled.retired if x != held.original.label)
     settled = replace(likelier.passed.whole.settled, retired=gone)
     told = log_likelihood_lead(likelier.passed.rival, again.ours) >= np.log(options.odds)
@@ -122,6 +127,17 @@ def prefer_special_case(
 def _special_case_labels(held: Variant) -> tuple[str, ...]:
     """Labels of the special cases of an effect, which it becomes at the ends of its shapes."""
     return tuple(make_label(x, held.original.port) for x in held.original.special)
+
+
+def _labels_at_same_place(assembly: Assembly, held: Variant) -> tuple[str, ...]:
+    """Labels of the candidates of an effect's kind and place."""
+    system, own = assembly.problem.model.system, held.original
+    place = system.place(own).name
+    return tuple(
+        e.label for e in assembly.problem.candidates
+        if type(e).__bases__ == type(own).__bases__ and system.place(e).name == place
+        and e.label != own.label
+    )  # fmt: skip
 
 
 def _declared_look_alikes(assembly: Assembly, held: Variant) -> tuple[str, ...]:
