@@ -9,7 +9,7 @@ from spiral.inference.disturbances import random_forces
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence
-from spiral.inference.verdict import noise_sentence, search_end_sentence
+from spiral.inference.verdict import noise_sentence
 from spiral.types.run import Comparison, Round, StopReason, Verdict
 
 
@@ -35,7 +35,7 @@ def advice_for(
             "give start values with values='{...}'."
         )
     if stopped == "max_seconds":
-        return f"{search_end_sentence(settings)} Give it more time: settings.seconds."
+        return "Give the search more time (settings.seconds), or fewer candidates."
     last = rounds[-1].comparison
     shape = next((r.details["unknown"] for r in reversed(rounds) if "unknown" in r.details), None)
     if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:

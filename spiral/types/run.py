@@ -21,7 +21,8 @@ StopReason = Literal[
     "whiteness", "no_candidate", "not_identifiable", "diverged", "max_rounds", "max_seconds"
 ]
 """How a study ended: what is left is white; no candidate passed; the record cannot tell; a fit did
-not converge; as many rounds as ``settings.max_rounds`` were made; ``settings.seconds`` were over."""
+not converge; as many rounds as ``settings.max_rounds`` were made; ``settings.seconds``
+were over."""
 
 
 @dataclass(frozen=True)
