@@ -120,20 +120,11 @@ def signatures(
         for j, p in enumerate(units):
             readings[:, :, j] = _readings_with_effect(along, effect, u, p, hidden) - along.readings
         return rates, readings
-    if isinstance(effect, InputEffect):
-        recorded, slopes = _recorded_input(along, port), along.by_input[port.axes[0]]
-        at = At((recorded,), (), hidden)
+    if isinstance(effect, InputEffect | ParameterEffect):
         small = _unit_amplitudes(effect, port, shapes, _SMALL)  # the leading order alone
-        driven = [call_equation(effect, "drive", effect.drive, at, u, p) for p in small]
-        change = (np.stack(driven, axis=1) - recorded[:, None]) / _SMALL
-        return slopes[0][:, :, None] * change[:, None], slopes[1][:, :, None] * change[:, None]
-    if isinstance(effect, ParameterEffect):
-        slopes, followed = along.by_parameter[varied_key(port)], followed_variable(along, port)
-        small = _unit_amplitudes(effect, port, shapes, _SMALL)
-        factors = [call_equation(effect, "factor", effect.factor, At((followed,), (), hidden), u, p)
-                   for p in small]  # fmt: skip
-        change = (_stack_columns(factors, count) - 1.0) / _SMALL
-        return slopes[0][:, :, None] * change[:, None], slopes[1][:, :, None] * change[:, None]
+        if isinstance(effect, InputEffect):
+            return _actuator_slopes(along, effect, port, u, small, hidden)
+        return _varied_slopes(along, effect, port, u, small)
     gain = along.compute_once("pushed", lambda: _collapse_constant(_stack_matrix(
         _injection_gain(system)(*along.states.T, *along.inputs.T, *along.parameters), count
     )))  # fmt: skip
@@ -146,6 +137,38 @@ def signatures(
         for j in range(len(units)):
             readings[:, :, j] = _apply_matrix(felt, rates[:, :, j])
     return rates, readings
+
+
+def _actuator_slopes(
+    along: SystemMotion,
+    effect: InputEffect,
+    port: Port,
+    u: SimpleNamespace,
+    small: Sequence[SimpleNamespace],
+    own: SimpleNamespace,
+) -> tuple[Array, Array]:
+    """Slopes of rates and readings by the (``small``) amplitudes of a change of an input."""
+    recorded = _recorded_input(along, port)
+    at = At((recorded,), (), own)
+    driven = [call_equation(effect, "drive", effect.drive, at, u, p) for p in small]
+    change = ((np.stack(driven, axis=1) - recorded[:, None]) / _SMALL)[:, None]
+    rates, readings = along.by_input[port.axes[0]]
+    return rates[:, :, None] * change, readings[:, :, None] * change
+
+
+def _varied_slopes(
+    along: SystemMotion,
+    effect: ParameterEffect,
+    port: Port,
+    u: SimpleNamespace,
+    small: Sequence[SimpleNamespace],
+) -> tuple[Array, Array]:
+    """Slopes of rates and readings by the (``small``) amplitudes of a parameter that varies."""
+    at = At((followed_variable(along, port),), (), SimpleNamespace())
+    factors = [call_equation(effect, "factor", effect.factor, at, u, p) for p in small]
+    change = (_stack_columns(factors, len(along.states)) - 1.0)[:, None] / _SMALL
+    rates, readings = along.by_parameter[varied_key(port)]
+    return rates[:, :, None] * change, readings[:, :, None] * change
 
 
 def _readings_with_effect(

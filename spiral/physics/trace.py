@@ -158,13 +158,7 @@ def trace(
     states = {n: sp.Symbol(f"x{i}", real=True) for i, n in enumerate(names)}
     inputs = {n: sp.Symbol(f"u{i}", real=True) for i, n in enumerate(input_columns(system))}
     x = SimpleNamespace(**{s.name: states[s.name] for s in system.states})
-    given = _system_parameters(system, symbols)
-    placed = [
-        _place_effect(system, effect, x, inputs, given, states, symbols) for effect in effects
-    ]
-    acting = _vary_parameters(placed, symbols, inputs)
-    p = _system_parameters(system, acting)
-    placed = [replace(i, p=values_for(i.effect, i.port.axes, acting)) for i in placed]
+    p, placed = _place_effects(system, effects, x, inputs, states, symbols)
     u, placed = _apply_actuators(placed, inputs)
     seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
     injected = _sum_injections(system, placed, seen, x)
@@ -219,6 +213,25 @@ def _rate_names(system: System) -> tuple[tuple[str, str], ...]:
 def _declared_likeness(system: System) -> tuple[tuple[str, str], ...]:
     """States that move like another one of the system, with that one's name."""
     return tuple((s.name, s.like) for s in system.states if s.like)
+
+
+def _place_effects(
+    system: System,
+    effects: tuple[Effect, ...],
+    x: SimpleNamespace,
+    inputs: dict[str, sp.Symbol],
+    states: dict[str, sp.Symbol],
+    symbols: dict[str, sp.Symbol],
+) -> tuple[SimpleNamespace, list[_PlacedEffect]]:
+    """The system's parameters as they act, and the effects at their places with theirs.
+
+    Places are where the parameters as given put them.
+    """
+    given = _system_parameters(system, symbols)
+    placed = [_place_effect(system, e, x, inputs, given, states, symbols) for e in effects]
+    acting = _vary_parameters(placed, symbols, inputs)
+    placed = [replace(i, p=values_for(i.effect, i.port.axes, acting)) for i in placed]
+    return _system_parameters(system, acting), placed
 
 
 def _place_effect(

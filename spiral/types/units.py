@@ -291,6 +291,14 @@ def _quantities(
     return SimpleNamespace(**{i.name: _quantity(of(i.unit)) for i in items})
 
 
+def _quantities_at(port: Port, items: Iterable[State | Parameter]) -> SimpleNamespace:
+    """One of each by its name, in its unit at a port; a tuple where there is one for each axis."""
+    each = {i.name: (_quantity(port.unit(i.unit)), i.per_axis) for i in items}
+    return SimpleNamespace(
+        **{k: (one,) * len(port.axes) if per_axis else one for k, (one, per_axis) in each.items()}
+    )
+
+
 def _quantity(unit: str, size: float = 1.25) -> Any:
     return registry().Quantity(size, _parse(unit) if unit else "")
 
@@ -301,23 +309,8 @@ def _evaluate_effect(system: System, effect: Effect, port: Port) -> list[tuple[s
     position = tuple(_quantity(unit, 1.0 + 0.25 * i) for i in range(count))
     velocity = tuple(_quantity(per_second(unit), 0.5 + 0.25 * i) for i in range(count))
     acceleration = tuple(_quantity(per_second(unit, 2)) for _ in range(count))
-    own = SimpleNamespace(
-        **{
-            s.name: tuple(_quantity(port.unit(s.unit)) for _ in range(count))
-            if s.per_axis
-            else _quantity(port.unit(s.unit))
-            for s in effect.states
-        }
-    )
+    own, p = (_quantities_at(port, items) for items in (effect.states, effect.parameters))
     u = _input_quantities(system)
-    p = SimpleNamespace(
-        **{
-            q.name: tuple(_quantity(port.unit(q.unit)) for _ in range(count))
-            if q.per_axis
-            else _quantity(port.unit(q.unit))
-            for q in effect.parameters
-        }
-    )
     at = At(position, velocity, own, acceleration)
     values = [(f"rate {k} of effect", v, unit) for k, v, unit in _own_rates(effect, port, at, u, p)]
     if isinstance(effect, ForceEffect):

@@ -63,8 +63,8 @@ def rows(tab):
 def mark(tab, what, use):
     """Choose what a drag marks; the picture follows once the program has answered."""
     tab.click(f"button:has-text('{what}')")
-    tab.wait_for_function("(use) => document.querySelector('#plot-columns .js-plotly-plot')"
-                          "?._fullLayout?.meta === use", arg=use)  # fmt: skip
+    plots = "[...document.querySelectorAll('#plot-columns, #plot-columns *')]"
+    tab.wait_for_function(f"(use) => {plots}.some(e => e._fullLayout?.meta === use)", arg=use)
 
 
 def drag(tab, first, last):

@@ -79,26 +79,36 @@ def largest_port_motion(
             low, high = (float(f(np.concatenate(outside))) for f in (np.min, np.max))
             levels = np.stack([levels - low, levels - high])
         largest[f"{port.name}.position"] = float(np.abs(levels).max())
+    unseen = np.array([symbol in hidden for symbol in traced.x])
+    reached = _largest_variables(system, records, np.where(unseen, inferred, measured))
+    varied = {f"{p.name}.position": reached.get(p.against, 0.0) for p in system.varied}
+    return {**largest, **varied, **_largest_signals(system, records)}
+
+
+def _largest_signals(system: System, records: Sequence[Record]) -> dict[str, float]:
+    """Largest |value| and |rate| of every input, and |value| of what sensors report."""
+    largest = {}
     for port in system.driven:
         given = [(r.inputs[name], r.dt) for r in records for name in port.axes]
         largest[f"{port.name}.position"] = float(max(np.abs(u).max() for u, _ in given))
         largest[f"{port.name}.velocity"] = float(
             max(np.abs(np.diff(u)).max() / dt for u, dt in given)
         )
-    followed = {
-        s.name: (inferred if traced.x[i] in hidden else measured)[:, i]
-        for i, s in enumerate(system.states)
-    }
-    followed |= {i.name: np.concatenate([r.inputs[i.name] for r in records])
-                 for i in system.inputs if all(i.name in r.inputs for r in records)}  # fmt: skip
-    followed[TIME] = np.array([(r.samples - 1) * r.dt for r in records])
-    reached = {name: float(np.abs(values).max()) for name, values in followed.items()}
-    for port in system.varied:
-        largest[f"{port.name}.position"] = reached.get(port.against, 0.0)
     for port in system.sensed:
         seen = [np.abs(r.channels[name]).max() for r in records for name in port.axes]
         largest[f"{port.name}.position"] = float(max(seen))
     return largest
+
+
+def _largest_variables(
+    system: System, records: Sequence[Record], states: Array
+) -> dict[str, float]:
+    """Largest |value| of each state (samples, n), each input, and time."""
+    followed = {s.name: states[:, i] for i, s in enumerate(system.states)}
+    followed |= {i.name: np.concatenate([r.inputs[i.name] for r in records])
+                 for i in system.inputs if all(i.name in r.inputs for r in records)}  # fmt: skip
+    followed[TIME] = np.array([(r.samples - 1) * r.dt for r in records])
+    return {name: float(np.abs(values).max()) for name, values in followed.items()}
 
 
 def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> float:

@@ -12,7 +12,7 @@ into what each explains, and the largest peaks, refined, are candidates like all
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,7 +114,9 @@ def _run_filter_passage(
     if not all(p.whole and np.all(np.isfinite(p.slopes)) for p in parts):
         return None
     tasks = tuple(task for task, _ in prepared)
-    motions = tuple(predicted_motion(assembly, t, p) for t, p in zip(tasks, parts, strict=True))
+    varied = _varied_keys(assembly)
+    pairs = zip(tasks, parts, strict=True)
+    motions = tuple(predicted_motion(assembly, t, p, varied) for t, p in pairs)
     block = residual_block_samples(tuple(p.whitened for p in parts))
     return Passage(assembly, active, tasks, parts, motions, masks, block)
 
@@ -255,8 +257,12 @@ def _prediction_slopes(passage: Passage, record: int, groups: Sequence[Candidate
     return by_amplitude
 
 
-def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> SystemMotion:
+def predicted_motion(
+    assembly: Assembly, task: Task, part: Prediction, varied: Collection[str] = ()
+) -> SystemMotion:
     """The motion that the filter predicts: states of the system, rates and readings of the model.
+
+    ``varied`` are parameters (full names) that are asked whether they vary.
 
     It is that before each sample's readings: the updated one contains their noise, which scores
     would attribute to sensor effects.
@@ -286,7 +292,7 @@ def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> System
         more, told = ((a - b) / (2 * step[place]) for a, b in pairs)
         by_input[port.axes[0]] = (more, told)
     by_parameter = {}
-    for key in {varied_key(system.place(e)) for e in _varying_effects(assembly)} & {*task.keys}:
+    for key in {*varied} & {*task.keys}:
         more, told = _parameter_slopes(task, rows, inputs, key)
         by_parameter[key] = (more[:, :n], told)
     known = dict(zip(task.keys, map(float, task.values), strict=True))
@@ -297,10 +303,10 @@ def predicted_motion(assembly: Assembly, task: Task, part: Prediction) -> System
     )
 
 
-def _varying_effects(assembly: Assembly) -> list[ParameterEffect]:
-    """The effects offered that change a parameter with a variable."""
-    offered = (v.original for v in assembly.offered)
-    return [e for e in offered if isinstance(e, ParameterEffect)]
+def _varied_keys(assembly: Assembly) -> set[str]:
+    """The parameters (full names) that effects offered change with a variable."""
+    system, offered = assembly.problem.model.system, (v.original for v in assembly.offered)
+    return {varied_key(system.place(e)) for e in offered if isinstance(e, ParameterEffect)}
 
 
 def _parameter_slopes(task: Task, rows: Array, inputs: Array, key: str) -> tuple[Array, Array]:

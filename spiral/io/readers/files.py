@@ -140,7 +140,14 @@ class Table:
         InputError : no such column, text among the numbers, or empty cells.
         """
         values = self._column_values(name, option)[start:stop]
-        numbers, bad = _parse_numbers(values, self.decimal)
+        try:
+            numbers, bad = _parse_numbers(values, self.decimal)
+        except OverflowError as error:
+            raise InputError(
+                f"column {name!r} of {self.name}: dates more than 292 years apart",
+                "moments of one measurement",
+                "correct the file, or cut the rows out with record.rows",
+            ) from error
         if not len(bad):
             return numbers
         cells = [str(cell).strip() for cell in _cells_at(values, bad)]
