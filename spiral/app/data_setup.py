@@ -22,12 +22,17 @@ from spiral.app.session import Session
 from spiral.types.errors import SpiralError
 from spiral.types.parameter import BETWEEN
 from spiral.view.report.style import BLUE, ORANGE
+from spiral.view.terminal.shell import option_lines
 
 _USES = {FIT: "fitted", TEST: "test, never fitted", "": "leave it out"}
 _DRAGS = {"zoom": "Zoom", FIT: "Mark what is fitted", TEST: "Mark the test"}
 _COLOURS = {FIT: BLUE, TEST: ORANGE}
 _SAID = "Rows, counted from zero; choose above what a drag over the picture marks."
 _HAS_TEST = "Another file is the test record; leave it out to mark a stretch of this one."
+_PLANNED = 2  # effects of a group that a command names
+_PLAN = (
+    "The first two of each group, on the command line; after the first fit the page plans it too."
+)
 _MOST = 6  # effects of a group that are named
 
 
@@ -247,6 +252,19 @@ def foresight_message(forecast: Mapping[str, Any], waiting: bool) -> str:
         "<div class='note caveats' id='foresight'><b>Before any fit: this record cannot tell "
         f"apart</b><ul>{items}</ul>{escape(_excitation_advice(forecast['advice']))}</div>"
     )
+
+
+def draw_plan_commands(forecast: Mapping[str, Any], overrides: Sequence[str]) -> None:
+    """The command that plans a test for each group of effects that look alike."""
+    own = set(forecast.get("own") or ()) - set(forecast.get("seed") or ())
+    groups = [[e for e in group if e not in own] for group in forecast.get("alike") or ()]
+    groups = [group[:_PLANNED] for group in groups if len(group) > 1]
+    if not groups:
+        return
+    with ui.expansion("Plan the test that tells them apart").classes("w-full"):
+        ui.html(f"<p class='soft'>{_PLAN}</p>", sanitize=False)
+        for group in groups:
+            frame.draw_code(f"spiral plan {' '.join(group)}{option_lines(overrides)}")
 
 
 def _effect_names(labels: Sequence[str], own: Sequence[str]) -> str:

@@ -17,6 +17,7 @@ from spiral.types.label import split_key
 
 if TYPE_CHECKING:
     from spiral.inference.problem import Problem
+    from spiral.io.registry import Registry
     from spiral.types.model import Model
     from spiral.types.system import System
 
@@ -173,8 +174,12 @@ def compare_reading(order: Order, source: Any, problem: Problem, tell: Tell) -> 
     tell("reading", {"reading": {"series": names, "notes": list(record.notes)}})
 
 
-def describe_model(model: Model) -> dict[str, Any]:
-    """The effects of a system's seed with their meanings, all parameters, and what couples."""
+def describe_model(model: Model, registry: Registry) -> dict[str, Any]:
+    """The effects of a system's seed with their meanings, all parameters, and what couples.
+
+    ``addable`` are the effects that the model may begin with besides, with the ports where they
+    fit.
+    """
     from spiral.physics.couplings import couplings_of
 
     told = model.estimates()
@@ -192,4 +197,19 @@ def describe_model(model: Model) -> dict[str, Any]:
             "value": value, "free": key in active,
         })  # fmt: skip
     seed = [{"label": e.label, "meaning": e.meaning()} for e in model.system.seed]
-    return {"seed": seed, "parameters": rows, "sketch": asdict(couplings_of(model))}
+    return {
+        "seed": seed, "parameters": rows, "sketch": asdict(couplings_of(model)),
+        "addable": _addable_effects(model.system, registry),
+    }  # fmt: skip
+
+
+def _addable_effects(system: System, registry: Registry) -> list[dict[str, Any]]:
+    """Effects by name that fit a system: their meanings, and label -> port where each may act."""
+    seeded = {e.label for e in system.seed}
+    effects: dict[str, dict[str, Any]] = {}
+    for effect in registry.candidates(system, everywhere=True):
+        if effect.label not in seeded:
+            said = {"name": effect.plugin_name(), "meaning": effect.meaning(), "ports": {}}
+            about = effects.setdefault(effect.plugin_name(), said)
+            about["ports"][effect.label] = effect.port or system.place(effect).name
+    return list(effects.values())

@@ -265,9 +265,9 @@ class FileSetup:
 
 
 def _setup_for_system(setup: RecordSetup, name: str) -> RecordSetup:
-    """The setup for another system: columns guessed anew, rows and the text of *More* kept."""
+    """The setup for another system: columns guessed anew; rows, rate, gaps and *More* kept."""
     system = next(s for s in setup.systems if s["name"] == name)
     was = setup.choice
-    rows = {"fit_rows": was.fit_rows, "test_rows": was.test_rows}
-    choice = replace(setups.guess_columns(setup.columns, system), more=was.more, **rows)
+    kept = {k: getattr(was, k) for k in ("fit_rows", "test_rows", "resample", "fill_gaps", "more")}
+    choice = replace(setups.guess_columns(setup.columns, system), **kept)
     return replace(setup, choice=choice, model={})

@@ -109,7 +109,7 @@ class FitWorker:
         assert self.registry is not None
         source = build_sources(self.config, self.registry)[0]
         compare_reading(order, source, self.problem, self.tell)
-        self.tell("model", replace_nonfinite(describe_model(self.problem.model)))
+        self.tell("model", replace_nonfinite(describe_model(self.problem.model, self.registry)))
 
     @one_blas_thread
     def start(self, order: Order) -> None:

@@ -26,8 +26,9 @@ def identifiability_forecast(
 
     Returns
     -------
-    ``alike`` groups of effects, ``terms`` how many were looked at, ``samples`` those there are and
-    ``needed`` (nothing where no number would do); or ``unknown``, why that cannot be said.
+    ``alike`` groups of effects, ``own`` terms of the model and ``seed`` its effects, ``terms`` how
+    many were looked at, ``samples`` those there are and ``needed`` (nothing where no number would
+    do); or ``unknown``, why that cannot be said.
     """
     try:
         derivative = build_derivative(dict(config), registry)
@@ -45,6 +46,7 @@ def identifiability_forecast(
             for group in identification.aliases
             if len(g := _replace_system_label(problem, group)) > 1
         ],
+        "seed": list(problem.model.labels),
         "own": [*problem.model.labels, *_free_system_parameters(problem)],
         "terms": identification.richness.columns,
         "samples": identification.richness.samples,

@@ -12,10 +12,11 @@ from nicegui import ui
 
 from spiral.app import equations, frame, model_setup, panels
 from spiral.app import record_setup as setups
-from spiral.app.data_setup import DataSetup, foresight_message
+from spiral.app.data_setup import DataSetup, draw_plan_commands, foresight_message
 from spiral.app.drop_zone import drop_script
 from spiral.app.file_preview import PICTURE, READING
 from spiral.app.file_setup import OpenFile
+from spiral.app.reading_setup import draw_reading_setup
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.app.session import Session
 from spiral.types.errors import SpiralError
@@ -70,7 +71,7 @@ class MappingPage:
             ("columns", self._draw_columns, columns),
             ("form", self._draw_mapping, (columns, setup.choice.system, setup.choice.time,
                                   setup.trouble if equations.equations_error(setup) else None)),
-            ("model", self._draw_model, (named, setup.choice.without)),
+            ("model", self._draw_model, (named, setup.choice.without, setup.choice.effects)),
             ("reading", self._draw_reading, setup.reading),
             ("records", self._draw_records, (bool(columns), setup.others)),
             ("seen", self._draw_summary, (setup.seen, setup.choice, opened.busy, setup.trouble,
@@ -103,8 +104,10 @@ class MappingPage:
                 button.on_click(functools.partial(self._use_setting, line)).props("outline")
 
     def _use_setting(self, line: str) -> None:
-        more = self.session.file_setup.current_file(self.ident).setup.choice.more
-        self._set_more(setups.replace_line(more, line))
+        """Take a setting that a message names, and show it in its field."""
+        self.drawn.pop("form", None)
+        now = self._current_choice()
+        self._change_choice(**vars(setups.with_setting(now, line)))
 
     def _draw_text_layout(self, setup: RecordSetup) -> None:
         """Fields for ``record.separator`` and ``record.decimal``, where no columns were found."""
@@ -196,23 +199,24 @@ class MappingPage:
                     setup, series, "input" if series["required"] else "input, if measured"
                 )
         self.desk.draw_instruments()
+        draw_reading_setup(setup, self._current_choice, self._change_choice)
         self._draw_more(setup)
 
     def _draw_more(self, setup: RecordSetup) -> None:
         """What has no field of its own, as lines of the command line."""
-        with ui.expansion("More: offsets, gaps, rates, candidates, the system's fields",
+        with ui.expansion("More: candidates, noise, the system's fields",
                           value=bool(setup.choice.more)).classes("w-full"):  # fmt: skip
             ui.textarea(
                 "One KEY=VALUE on each line, as on the command line", value=setup.choice.more,
-                placeholder="record.offset={x: 0.01}\nholdout=0.3",
+                placeholder="record.noise={x: 1e-6}\nholdout=0.3",
                 on_change=lambda e: self._change_choice(more=e.value or ""),
             ).props("outlined dense debounce=900").classes("w-full")  # fmt: skip
 
     def _draw_model(self, opened: OpenFile) -> None:
-        def current_choice() -> Choice:
-            return self.session.file_setup.current_file(self.ident).setup.choice
+        model_setup.draw_model_setup(opened.setup, self._current_choice, self._change_choice)
 
-        model_setup.draw_model_setup(opened.setup, current_choice, self._change_choice)
+    def _current_choice(self) -> Choice:
+        return self.session.file_setup.current_file(self.ident).setup.choice
 
     def _draw_time_row(self, setup: RecordSetup) -> None:
         ui.html("<b>time</b>", sanitize=False)
@@ -231,17 +235,19 @@ class MappingPage:
                 'outlined dense debounce=500 aria-label="sample rate"')  # fmt: skip
 
     def _choose_time_column(self, column: str) -> None:
-        units = self.session.file_setup.current_file(self.ident).setup.choice.units
+        units = self._current_choice().units
         self._change_choice(time=column, units={**units, "time": self._unit_from_column(column)})
 
     def _draw_series_row(self, setup: RecordSetup, series: Mapping[str, Any], kind: str) -> None:
         name = series["name"]
         ui.html(f"<b>{escape(name)}</b> <span class='soft'>{kind}</span>", sanitize=False)
         names = {"": _NONE, **{c["name"]: c["name"] for c in setup.columns}}
+        if kind == "input" and setups.AT_REST not in names:
+            names[setups.AT_REST] = "held at zero"
         value = setup.choice.columns.get(name, "")
 
         def choose_column(event: Any) -> None:
-            now = self.session.file_setup.current_file(self.ident).setup.choice
+            now = self._current_choice()
             said = self._unit_from_column(event.value)
             self._change_choice(columns={**now.columns, name: event.value},
                          units={**now.units, name: said})  # fmt: skip
@@ -258,7 +264,7 @@ class MappingPage:
         column = setup.choice.time if name == "time" else setup.choice.columns.get(name, "")
 
         def choose_unit(event: Any) -> None:
-            now = self.session.file_setup.current_file(self.ident).setup.choice
+            now = self._current_choice()
             self._change_choice(units={**now.units, name: event.value or ""})
 
         box = ui.input(value=setup.choice.units.get(name, ""), on_change=choose_unit,
@@ -294,6 +300,7 @@ class MappingPage:
                     sanitize=False)  # fmt: skip
             self._draw_quiet_warning(setup)
             ui.html(foresight_message(setup.foresight, opened.foreseeing), sanitize=False)
+            draw_plan_commands(setup.foresight, setups.setup_overrides(setup))
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._create_study)
         begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(setup.seen) and not setup.trouble)
@@ -308,13 +315,8 @@ class MappingPage:
             button = ui.button("Keep parts of five blocks apart instead")
             button.on_click(functools.partial(self._use_setting, _BLOCKS)).props("outline")
 
-    def _set_more(self, more: str) -> None:
-        """Another text in *More*, shown there too."""
-        self.drawn.pop("form", None)
-        self._change_choice(more=more)
-
     def _change_choice(self, **values: Any) -> None:
-        now: Choice = self.session.file_setup.current_file(self.ident).setup.choice
+        now: Choice = self._current_choice()
         changed = replace(now, **values)
         if changed != now:
             self.session.file_setup.change_choice(self.ident, changed)

@@ -1,6 +1,7 @@
 """The model before any fit: every parameter with unit, bounds and value, known or to be found.
 
-What is chosen here becomes ``without=``, ``values=``, ``fixed=`` and ``free=`` of the command line.
+What is chosen here becomes ``effect=``, ``without=``, ``values=``, ``fixed=`` and ``free=`` of the
+command line.
 """
 
 from __future__ import annotations
@@ -41,11 +42,45 @@ def draw_model_setup(setup: RecordSetup, now: Callable[[], Choice], change: Chan
             box = ui.switch(panels.label_words(label), value=label not in setup.choice.without)
             box.on_value_change(functools.partial(switch_effect, label))
             ui.html(panels.effect_meaning(effect["meaning"]), sanitize=False).classes("soft")
+    _draw_added_effects(setup, now, change)
     with ui.element("div").classes("wide"), ui.element("div").classes("parameters"):
         for head in ("parameter", "value (SI)", "unit", "bounds", "found by the fit"):
             ui.html(f"<b>{head}</b>", sanitize=False)
         for row in setup.model["parameters"]:
             _draw_parameter_row(row, now, change)
+
+
+def _draw_added_effects(setup: RecordSetup, now: Callable[[], Choice], change: Change) -> None:
+    """Effects that the model begins with besides its seed, and fields for another at a port."""
+    for label in setup.choice.effects:
+        with ui.row().classes("items-center no-wrap gap-2 begun-with"):
+            ui.html(f"+ {escape(panels.label_words(label))}", sanitize=False)
+            left = tuple(e for e in setup.choice.effects if e != label)
+            button = ui.button("Remove", on_click=functools.partial(change, effects=left))
+            button.props("flat dense")
+            button.props["aria-label"] = f"Remove {panels.label_words(label)}"
+    addable = {e["name"]: e for e in setup.model.get("addable") or ()}
+    if not addable:
+        return
+
+    def show_ports(event: Any) -> None:
+        about = addable[event.value]
+        port.set_options(about["ports"], value=next(iter(about["ports"])))
+        said.set_content(panels.effect_meaning(about["meaning"]))
+        add.set_enabled(True)
+
+    def add_effect() -> None:
+        change(effects=tuple(dict.fromkeys((*now().effects, port.value))))
+
+    with ui.element("div").classes("add-effect"):
+        names = {name: panels.label_words(name) for name in addable}
+        box = ui.select(names, label="Also in the model: effect", on_change=show_ports)
+        port = ui.select({}, label="at port")
+        for one in (box, port):
+            one.props("outlined dense options-dense")
+        add = ui.button("Put it in", on_click=add_effect).props("outline")
+        add.set_enabled(False)
+    said = ui.html("", sanitize=False).classes("soft")
 
 
 def _draw_parameter_row(row: Mapping[str, Any], now: Callable[[], Choice], change: Change) -> None:

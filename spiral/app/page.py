@@ -172,6 +172,7 @@ class StudyView:
             ui.button("Cancel", on_click=self._cancel_order).props(
                 "outline dense color=negative padding='2px 12px'")  # fmt: skip
         bar = ui.linear_progress(0.0, show_value=False, size="5px").props("instant-feedback")
+        bar.props["aria-label"] = "How far this step has come"
         return _Progress(words, bar)
 
     def _draw_tour(self, scene: LiveStudy) -> None:

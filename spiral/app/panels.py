@@ -58,6 +58,8 @@ def caveats_note(said: Sequence[str]) -> str:
 def ending_message(study: Study, turn: StudyState) -> str:
     """The message where no candidate is confirmed: what that means."""
     said = ENDINGS.get(turn.verdict) or escape(turn.advice)
+    if turn.verdict == "not_identifiable":
+        said += f" {escape(turn.advice)}"
     error, floor = turn.result.get("test_error"), study.noise_floor
     if turn.verdict == "whiteness" and error and floor and error > _FAR * floor:
         said += f" The free run on the test record still misses by {percent(error)}, though: such a"

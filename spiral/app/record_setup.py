@@ -20,7 +20,9 @@ from spiral.types.errors import ConfigError
 
 FILE = "setup.json"
 FIT, TEST = "fit", "test"
+AT_REST = "0"  # in the place of an input's column: held at zero
 _ID = re.compile(r"[0-9a-f-]{8,40}")
+_FIELDS = {"record.resample": "resample", "record.fill_gaps": "fill_gaps"}
 _ADVISED = re.compile(  # a key of the command line with a value, and no word that stands for one
     r"\b((?:record|system)\.\w+|holdout_blocks)=((?![A-Z_]+\b)(?:'[^']*'|[^\s',;]*[^\s',;.]))"
 )
@@ -40,6 +42,8 @@ class Choice:
     ``fit_rows`` and ``test_rows`` are first row and end of what is fitted and of the test, all rows
     where empty; ``hold`` says by input how it runs between samples; ``pulse`` is the column of a
     once-per-turn pulse, ``rotation`` a shaft's sense, ``angles`` degrees of probes by channel.
+    ``effects`` are labels of effects beside the seed's; ``resample`` is a rate in Hz, ``fill_gaps``
+    the longest gap that is bridged, in samples, ``offsets`` what instruments read at rest by name.
     """
 
     system: str = ""
@@ -57,6 +61,14 @@ class Choice:
     pulse: str = ""
     rotation: str = ""
     angles: Mapping[str, str] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    resample: str = ""
+    fill_gaps: str = ""
+    offsets: Mapping[str, str] = field(default_factory=dict)
+
+    def measured(self, name: str) -> bool:
+        """Whether a series comes from a column, and is not held at zero."""
+        return self.columns.get(name, "") not in ("", AT_REST)
 
 
 @dataclass(frozen=True)
@@ -284,6 +296,14 @@ def advised_lines(trouble: Mapping[str, str] | None) -> list[str]:
     return list(lines.values())
 
 
+def with_setting(choice: Choice, line: str) -> Choice:
+    """A choice with a setting as ``advised_lines`` gives it: in its field, else in *More*."""
+    key, _, value = line.partition("=")
+    if key in _FIELDS:
+        return replace(choice, **{_FIELDS[key]: value})
+    return replace(choice, more=replace_line(choice.more, line))
+
+
 def replace_line(more: str, line: str) -> str:
     """The text of *More* with a line, in the place of one that says something else of its key."""
     key = line.partition("=")[0]
@@ -308,10 +328,16 @@ def _series_overrides(setup: RecordSetup) -> list[str]:
         lines.append(f"test.rows=[{','.join(map(str, choice.test_rows))}]")
     hold = {k: v for k, v in choice.hold.items() if v and choice.columns.get(k)}
     angles = {k: v.strip() for k, v in choice.angles.items() if v.strip()}
-    for key, values in (("hold", hold), ("probe_angles", angles)):
+    offsets = {k: v.strip() for k, v in choice.offsets.items() if v.strip() and choice.measured(k)}
+    for key, values in (("hold", hold), ("probe_angles", angles), ("offset", offsets)):
         if values:
             inside = ", ".join(f"{k}: {v}" for k, v in values.items())
             lines.append(f"record.{key}={{{inside}}}")
+    lines += [
+        f"{key}={value}"
+        for key, name in _FIELDS.items()
+        if (value := getattr(choice, name).strip())
+    ]
     if choice.pulse:
         lines.append(f"record.pulse={quote_value(choice.pulse)}")
     if choice.rotation:
@@ -338,6 +364,8 @@ def mark_stretch(choice: Choice, use: str, first: int, stop: int, rows: int) -> 
 def _model_overrides(choice: Choice) -> list[str]:
     """Overrides for the model that a study begins with."""
     lines = []
+    if choice.effects:
+        lines.append(f"effect=[{','.join(choice.effects)}]")
     if choice.without:
         lines.append(f"without=[{','.join(choice.without)}]")
     values = {k: v.strip() for k, v in choice.values.items() if v.strip()}

@@ -160,6 +160,9 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 #foresight {{ margin-top:10px; }}
 .seed {{ display:grid; grid-template-columns:auto minmax(0,1fr); gap:2px 12px; align-items:center;
   margin-bottom:12px; }}
+.add-effect {{ display:grid; grid-template-columns:minmax(0,2fr) minmax(0,1fr) auto; gap:8px;
+  align-items:center; margin:4px 0 12px; }}
+.begun-with {{ color:var(--chip-ink); font-weight:600; }}
 .parameters {{ display:grid; align-items:center; gap:6px 14px; font-size:14px;
   grid-template-columns:minmax(140px,1fr) 130px auto auto auto; }}
 .sketched {{ margin:4px 0 6px; width:100%; overflow-x:auto; }}

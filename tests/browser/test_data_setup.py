@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.browser.conftest import PATIENCE
-from tests.browser.steps import faults, legend, upload
+from tests.browser.steps import choose, faults, legend, upload
 
 RATE, SAMPLES = 500.0, 3000
 BEGIN = "button:has-text('Compare with the model'):enabled"
@@ -63,8 +63,8 @@ def rows(tab):
 def mark(tab, what, use):
     """Choose what a drag marks; the picture follows once the program has answered."""
     tab.click(f"button:has-text('{what}')")
-    plots = "[...document.querySelectorAll('#plot-columns, #plot-columns *')]"
-    tab.wait_for_function(f"(use) => {plots}.some(e => e._fullLayout?.meta === use)", arg=use)
+    tab.wait_for_function("(use) => document.getElementById('plot-columns')"
+                          "?._fullLayout?.meta === use", arg=use)  # fmt: skip
 
 
 def drag(tab, first, last):
@@ -139,6 +139,8 @@ def test_what_a_record_cannot_tell_is_said_before_any_fit(tab, served, files, pi
     said = tab.inner_text("#foresight")
     assert "linear stiffness (in the model)" in said
     assert "take a run-up or run-down instead" in said
+    tab.click("text=Plan the test that tells them apart")
+    assert tab.inner_text(".command >> nth=0").startswith("spiral plan ")
     picture(tab, "desk-foresight")
     assert faults(tab) == []
 
@@ -231,3 +233,30 @@ def test_what_reading_changes_is_drawn_before_it_is_fitted(tab, served, files, p
     tab.wait_for_selector(BEGIN)
     assert faults(tab) == []
     picture(tab, "reading")
+
+
+def test_a_measured_record_without_an_input_needs_a_mouse_alone(tab, served, picture):
+    """The record that comes with the program: nothing drives it, and nothing is typed."""
+    tab.goto(served.address)
+    tab.click("button:has-text('No file at hand')")
+    tab.wait_for_selector("#plot-columns .main-svg")
+    tab.click(".q-select >> nth=0")
+    tab.click(".q-menu .q-item:has-text('pendulum')")
+    tab.wait_for_selector("main:has-text('Still to choose: a column for torque')")
+    choose(tab, "torque", "held at zero")
+    tab.wait_for_selector(BEGIN)
+    tab.click("text=Rate, gaps and offsets")
+    tab.fill("input[aria-label='resample to, Hz']", "50")
+    tab.wait_for_selector("main:has-text('at 50 Hz')")
+    tab.wait_for_selector("li:has-text('resampled from 100 to 50 Hz')")
+    tab.click(".add-effect .q-select >> nth=0")
+    tab.click(".q-menu .q-item:has-text('coulomb friction')")
+    tab.click("button:has-text('Put it in'):enabled")
+    tab.wait_for_selector("[aria-label='value of coulomb friction, level']")
+    tab.wait_for_selector(BEGIN)
+    picture(tab, "desk-model")
+    assert faults(tab) == []
+    tab.emulate_media(color_scheme="dark")
+    assert faults(tab) == []
+    tab.click("button[aria-label='Remove coulomb friction']")
+    tab.wait_for_selector("[aria-label='value of coulomb friction, level']", state="detached")

@@ -9,6 +9,7 @@ import pytest
 from spiral.app.data_setup import foresight_message
 from spiral.app.identifiability import identifiability_forecast
 from spiral.app.record_setup import (
+    AT_REST,
     FIT,
     TEST,
     Choice,
@@ -16,6 +17,7 @@ from spiral.app.record_setup import (
     mark_stretch,
     missing_choices,
     setup_overrides,
+    with_setting,
 )
 from spiral.io.config import build_problem, build_sources, compose
 from tests.described_systems import OSCILLATOR, ROTOR
@@ -108,3 +110,25 @@ def test_a_constant_speed_cannot_tell_what_a_run_down_can(tmp_path, speeds, alik
     if alike:
         assert "linear stiffness (in the model)" in foresight_message(found, False)
         assert "take a run-up or run-down" in foresight_message(found, False)
+
+
+def test_rate_gaps_and_offsets_are_those_of_the_command_line():
+    wanted = setup(OSCILLATOR, {"x": "x", "force": AT_REST}, offsets={"x": "0.1", "force": "2"})
+    wanted = replace(wanted, choice=with_setting(wanted.choice, "record.resample=250"))
+    wanted = replace(wanted, choice=with_setting(wanted.choice, "record.noise={x: 1}"))
+    assert wanted.choice.more == "record.noise={x: 1}"
+    source, _ = build_sources(compose(setup_overrides(wanted), registry()), registry())
+    assert source.resample == 250
+    assert source.offset == {"x": 0.1}  # what is held at zero has none
+    assert source.inputs == {"force": "0"}
+    assert source.noise == {"x": 1}
+
+
+def test_an_input_held_at_zero_is_none_of_the_files_columns(tmp_path):
+    table = np.column_stack([np.arange(ROWS) / 500.0, np.sin(np.arange(ROWS))])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t,x", comments="")
+    given = replace(setup(OSCILLATOR, {"x": "x", "force": AT_REST}), path=str(tmp_path / "a.csv"))
+    assert missing_choices(given) == []
+    source, _ = build_sources(compose(setup_overrides(given), registry()), registry())
+    (record,) = source.load(registry().make("system", "oscillator"))
+    assert not record.inputs["force"].any()

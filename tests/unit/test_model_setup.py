@@ -14,7 +14,7 @@ def model(*given):
 
 
 def test_every_parameter_has_a_unit_a_value_and_a_state():
-    found = describe_model(model("system=tilting_rotor"))
+    found = describe_model(model("system=tilting_rotor"), registry())
     rows = {r["key"]: r for r in found["parameters"]}
     mass, spring = rows["system.mass"], rows["linear_stiffness@bearing_1.stiffness_x"]
     assert (mass["unit"], mass["lower"], mass["value"], mass["free"]) == ("kg", 0.0, 1.15, False)
@@ -37,3 +37,15 @@ def test_a_choice_is_the_same_model_as_from_the_command_line():
     assert found.labels == ("linear_stiffness",)
     assert found.values["system.mass"] == 2.0
     assert set(found.active) == {"linear_stiffness.stiffness"}
+
+
+def test_effects_at_ports_of_ones_own_choice_are_in_the_model():
+    found = describe_model(model("system=tilting_rotor"), registry())
+    friction = next(e for e in found["addable"] if e["name"] == "coulomb_friction")
+    assert friction["ports"]["coulomb_friction@bearing_2"] == "bearing_2"
+    choice = Choice("tilting_rotor", "", "500", {"x": "a", "y": "b", "speed": "n"},
+                    effects=("coulomb_friction@bearing_2",))  # fmt: skip
+    system = {"name": "tilting_rotor", "channels": [{"name": "x", **SERIES}], "inputs": []}
+    setup = RecordSetup("20260101-000000-abc", "a.csv", "a.csv", systems=(system,), choice=choice)
+    given = [o for o in setup_overrides(setup) if not o.startswith("record")]
+    assert "coulomb_friction@bearing_2" in model(*given).labels
