@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from spiral.types.effect import Effect
 from spiral.types.model import Model
 from spiral.types.parameter import Interpolation
+from spiral.types.placement import at_fitting_places
 from spiral.types.plugin import Plugin
 from spiral.types.record import Record
 
@@ -76,8 +77,9 @@ class Problem:
 
     ``records`` are fitted; ``test`` is seen neither by fit nor by selection, its first ``settle``
     seconds only fix its own nuisances; ``candidates`` are the effects that may be missing.
-    ``dictionary`` are learned effects, and ``varying`` changes of the model's own parameters with
-    what moves, tried where no candidate explains what is left.
+    ``dictionary`` are learned effects, ``varying`` the forms in which the model's own parameters
+    may follow what moves (``changes`` at their places), tried where no candidate explains what is
+    left.
     ``strategy`` is the plugin of that kind which supplies the evidence
     (``spiral.inference.rounds.strategy_for``); steps that need none leave it out.
     ``scaled`` are shapes that nobody gave a value.
@@ -100,6 +102,16 @@ class Problem:
             tuple(replace(r, growth=growth) for r in some) for some in (self.records, self.test)
         )
         return replace(self, records=records, test=test)
+
+    def changes(self) -> tuple[Effect, ...]:
+        """Changes of each parameter with each variable that it may follow."""
+        return at_fitting_places(self.model.system, self.varying)
+
+    def candidates_beside(self, effect: Effect) -> tuple[Effect, ...]:
+        """The candidates at an effect's place."""
+        system = self.model.system
+        at = system.place(effect).name
+        return tuple(e for e in self.candidates if system.place(e).name == at)
 
     def spoilt_sentences(self) -> tuple[str, ...]:
         """What readings are no measurement, in words; those of the test records named as such."""

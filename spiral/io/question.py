@@ -120,7 +120,6 @@ def pose_problem(
     )
     if not chosen.curves:
         return problem
-    system = model.system
     return replace(
-        problem, dictionary=registry.dictionary(system), varying=registry.varying(system)
+        problem, dictionary=registry.dictionary(model.system), varying=registry.varying()
     )

@@ -177,14 +177,12 @@ class Registry:
             effects += [e for e in places if fits(system, e)]
         return tuple(effects)
 
-    def varying(self, system: System) -> tuple[Effect, ...]:
-        """Changes of each parameter of a system with each variable that it may follow."""
+    def varying(self) -> tuple[Effect, ...]:
+        """The forms in which a parameter may follow a variable, without a place."""
         from spiral.types.effect import ParameterEffect
-        from spiral.types.placement import at_every_place, fits
 
         plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
-        kinds = [plugin() for plugin in plugins if issubclass(plugin, ParameterEffect)]
-        return tuple(e for kind in kinds for e in at_every_place(system, kind) if fits(system, e))
+        return tuple(plugin() for plugin in plugins if issubclass(plugin, ParameterEffect))
 
     def dictionary(self, system: System) -> tuple[Effect, ...]:
         """Learned effects (``spiral.physics.learned``) at every place where they fit.
@@ -193,11 +191,11 @@ class Registry:
         where there are curves for flows between named channels.
         """
         from spiral.physics.learned import Learned, LearnedFlow, LearnedStateFlow
-        from spiral.types.placement import at_every_place, fits
+        from spiral.types.placement import at_fitting_places
 
         plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
-        curves = [plugin() for plugin in plugins if issubclass(plugin, Learned)]
-        effects = [e for c in curves for e in at_every_place(system, c) if fits(system, e)]
+        curves = tuple(plugin() for plugin in plugins if issubclass(plugin, Learned))
+        effects = at_fitting_places(system, curves)
         named = any(isinstance(e, LearnedFlow) for e in effects)
         kept = (e for e in effects if not (named and isinstance(e, LearnedStateFlow)))
         return tuple(sorted(kept, key=lambda e: bool(e.port)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
     ForceEffect,
@@ -54,6 +55,12 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
     else:
         names = []
     return [effect, *(replace(effect, port=name) for name in names[1:])]
+
+
+@kept(16)
+def at_fitting_places(system: System, effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """Copies of effects for every place of a system where they act and their units fit."""
+    return tuple(e for one in effects for e in at_every_place(system, one) if fits(system, e))
 
 
 def fits(system: System, effect: Effect) -> bool:

@@ -183,20 +183,7 @@ class System(Plugin):
         Amplitudes are the system's parameters and those of its seed; variables its states, its
         inputs and time. Such a port is called ``parameter NAME with VARIABLE``.
         """
-        names = [p.name for p in self.parameters if (p.role, p.scope) == ("amplitude", "machine")]
-        names += [
-            key for effect in self.seed for key, p in effect.keys(self.place(effect))
-            if p.role == "amplitude"
-        ]  # fmt: skip
-        followed = {x.name: x.unit for x in (*self.states, *self.inputs)} | {TIME: "s"}
-        for given in self.inputs:
-            if given.derived_from:
-                del followed[given.name]
-        return tuple(
-            Port(f"parameter {name} with {x}", (name,), lambda x, p: [], unit, "", against=x)
-            for name in names
-            for x, unit in followed.items()
-        )
+        return tuple(_varied_ports(self).values())
 
     def place(self, effect: Effect) -> Port:
         """Where an effect acts: at a port, on an input, a parameter, a state, or the sensors."""
@@ -214,7 +201,7 @@ class System(Plugin):
                 effect, self.driven, "which acts on an input", "an input that no other follows"
             )
         if isinstance(effect, ParameterEffect):
-            return self._place_of(
+            return _varied_ports(self).get(effect.port) or self._place_of(
                 effect, self.varied, "which changes a parameter with a variable", "a parameter"
             )
         if isinstance(effect, StateFlow):
@@ -358,6 +345,24 @@ def _state_port(units: dict[str, str], *into: State) -> Port:
         units[names[0]],
         into[0].unit,
     )
+
+
+@kept(32)
+def _varied_ports(system: System) -> dict[str, Port]:
+    """``System.varied`` by the names that effects give as their port."""
+    names = [p.name for p in system.parameters if (p.role, p.scope) == ("amplitude", "machine")]
+    names += [
+        key for effect in system.seed for key, p in effect.keys(system.place(effect))
+        if p.role == "amplitude"
+    ]  # fmt: skip
+    free = (i for i in system.inputs if not i.derived_from)
+    followed = {x.name: x.unit for x in (*system.states, *free)} | {TIME: "s"}
+    ports = (
+        Port(f"parameter {name} with {x}", (name,), lambda x, p: [], unit, "", against=x)
+        for name in names
+        for x, unit in followed.items()
+    )
+    return {place_name(port): port for port in ports}
 
 
 @kept(32)

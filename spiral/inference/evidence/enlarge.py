@@ -54,7 +54,7 @@ def enlarge(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
         return with_variants(
             assembly, [_find_variant(assembly, x) for x in labels if x not in known]
         )
-    asked = (*assembly.problem.dictionary, *assembly.problem.varying)
+    asked = (*assembly.problem.dictionary, *assembly.problem.changes())
     more = tuple(e for e in asked if e.label in names)
     candidates = (*assembly.problem.candidates, *more)
     return reassemble(assembly, candidates, own_state_variants(assembly, labels))
@@ -68,7 +68,7 @@ def _find_variant(assembly: Assembly, label: str) -> Variant:
     name, tag = split_variant(label)
     problem = assembly.problem
     laws = laws_of(problem.model.system)
-    effects = (*assembly.later, *problem.dictionary, *problem.varying, *laws)
+    effects = (*assembly.later, *problem.dictionary, *problem.changes(), *laws)
     return make_variant(next(e for e in effects if e.label == name), tag, {})
 
 

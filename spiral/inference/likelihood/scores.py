@@ -274,27 +274,29 @@ def predicted_motion(
     inputs = np.ascontiguousarray(task.inputs[:: 2 * task.series.substeps])
     rows = np.ascontiguousarray(part.expected[:, :count])
 
-    def evaluate_model(u: Array) -> tuple[Array, Array]:
+    def evaluate_model(u: Array, p: Array) -> tuple[Array, Array]:
         rates, readings = np.empty((len(rows), count)), np.empty_like(task.series.y)
         evaluate_along(
-            task.compiled.rate_value, task.compiled.output_value, rows, u, task.values, rates,
-            readings,
-        )  # fmt: skip
+            task.compiled.rate_value, task.compiled.output_value, rows, u, p, rates, readings
+        )
         return rates[:, :n], readings
 
-    rates, readings = evaluate_model(inputs)
+    def slopes(u: Array | float, p: Array | float, step: float) -> tuple[Array, Array]:
+        ends = (evaluate_model(inputs + s * u, task.values + s * p) for s in (1.0, -1.0))
+        more, told = ((a - b) / (2 * step) for a, b in zip(*ends, strict=True))
+        return more, told
+
+    rates, readings = evaluate_model(inputs, task.values)
     by_input = {}
     for port in system.driven:
         place = input_columns(system).index(port.axes[0])
-        step = np.zeros(inputs.shape[1])
-        step[place] = _STEP * (float(np.abs(inputs[:, place]).max()) or 1.0)
-        pairs = zip(evaluate_model(inputs + step), evaluate_model(inputs - step), strict=True)
-        more, told = ((a - b) / (2 * step[place]) for a, b in pairs)
-        by_input[port.axes[0]] = (more, told)
+        step = _STEP * (float(np.abs(inputs[:, place]).max()) or 1.0)
+        by_input[port.axes[0]] = slopes(_one_step(inputs.shape[1], place, step), 0.0, step)
     by_parameter = {}
-    for key in {*varied} & {*task.keys}:
-        more, told = _parameter_slopes(task, rows, inputs, key)
-        by_parameter[key] = (more[:, :n], told)
+    for key in {*varied} & {*task.keys}:  # by the logarithm
+        at = task.keys.index(key)
+        change = _STEP * float(task.values[at])
+        by_parameter[key] = slopes(0.0, _one_step(len(task.values), at, change), _STEP)
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
     moved = np.gradient(readings, task.series.dt, axis=0) if system.readings else None
@@ -309,22 +311,11 @@ def _varied_keys(assembly: Assembly) -> set[str]:
     return {varied_key(system.place(e)) for e in offered if isinstance(e, ParameterEffect)}
 
 
-def _parameter_slopes(task: Task, rows: Array, inputs: Array, key: str) -> tuple[Array, Array]:
-    """Slopes of rates (samples, states) and readings (samples, channels) by a parameter's log."""
-    from spiral.engine.likelihood.signatures_kernel import evaluate_along
-
-    at, ends = task.keys.index(key), []
-    for sign in (1.0, -1.0):
-        values = np.array(task.values, dtype=float)
-        values[at] *= 1.0 + sign * _STEP
-        rates, readings = np.empty((len(rows), len(task.states))), np.empty_like(task.series.y)
-        evaluate_along(
-            task.compiled.rate_value, task.compiled.output_value, rows, inputs, values, rates,
-            readings,
-        )  # fmt: skip
-        ends.append((rates, readings))
-    (more, told), (less, before) = ends
-    return (more - less) / (2 * _STEP), (told - before) / (2 * _STEP)
+def _one_step(count: int, place: int, step: float) -> Array:
+    """(count,) a step at one place, zero elsewhere."""
+    steps = np.zeros(count)
+    steps[place] = step
+    return steps
 
 
 def _signature_columns(

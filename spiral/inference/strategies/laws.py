@@ -108,8 +108,8 @@ def find_named_law(
     for start in _law_starts(assembly, state, base, gone, white, masks[0], progress):
         progress("trying laws with a closed form")
         changes = _promising_changes(assembly, start.base, masks[0])
-        assembly = offer_effects(assembly, (*laws, *changes))
-        law = _find_law_from(options, assembly, start, comparison, masks, level, progress)
+        offered = offer_effects(assembly, (*laws, *changes))
+        law = _find_law_from(options, offered, start, comparison, masks, level, progress)
         if law is not None:
             return law
     return None
@@ -132,15 +132,15 @@ def _promising_changes(
     Plain forms have no shapes to be searched: a line, a parabola, a power and an exponential show
     what any smooth change would.
     """
-    varying = assembly.problem.varying
-    plain = tuple(e for e in varying if all(len(p.grid) <= 1 for p in e.parameters))
+    changes = assembly.problem.changes()
+    plain = tuple(e for e in changes if all(len(p.grid) <= 1 for p in e.parameters))
     offered = offer_effects(assembly, plain)
     ranked = rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
     if ranked is None:
         return ()
     places = dict.fromkeys(r.variant.original.port for r in ranked.ranked)
     best = {*itertools.islice(places, _CHANGES)}
-    return tuple(e for e in varying if e.port in best)
+    return tuple(e for e in changes if e.port in best)
 
 
 def _stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
@@ -223,11 +223,9 @@ def _find_equal_candidate(
     """A candidate at a law's place that does as well beside the values found with the law."""
     own, effect = law.whole.assembly, law.rival.ranked.variant.original
     settled, noise = law.whole.settled, law.whole.fit.estimate.noise
-    system = assembly.problem.model.system
-    at = system.place(effect).name
     known = tuple(
-        e for e in assembly.problem.candidates
-        if isinstance(e, ForceEffect | StateFlow) and not e.states and system.place(e).name == at
+        e for e in assembly.problem.candidates_beside(effect)
+        if isinstance(e, ForceEffect | StateFlow) and not e.states
     )  # fmt: skip
     if not known:
         return None

@@ -103,7 +103,10 @@ def prefer_special_case(
     """
     whole, held = passed.whole, passed.rival.ranked.variant
     declared = _declared_look_alikes(whole.assembly, held)
-    beside = _labels_at_same_place(whole.assembly, held) if whole.settled.retired else ()
+    beside: tuple[str, ...] = ()
+    if whole.settled.retired:
+        near = whole.assembly.problem.candidates_beside(held.original)
+        beside = tuple(e.label for e in near if e.label != held.original.label)
     others = tuple(dict.fromkeys((*declared, *beside)))
     if not others:
         return passed
@@ -127,17 +130,6 @@ def prefer_special_case(
 def _special_case_labels(held: Variant) -> tuple[str, ...]:
     """Labels of the special cases of an effect, which it becomes at the ends of its shapes."""
     return tuple(make_label(x, held.original.port) for x in held.original.special)
-
-
-def _labels_at_same_place(assembly: Assembly, held: Variant) -> tuple[str, ...]:
-    """Labels of the candidates of an effect's kind and place."""
-    system, own = assembly.problem.model.system, held.original
-    place = system.place(own).name
-    return tuple(
-        e.label for e in assembly.problem.candidates
-        if type(e).__bases__ == type(own).__bases__ and system.place(e).name == place
-        and e.label != own.label
-    )  # fmt: skip
 
 
 def _declared_look_alikes(assembly: Assembly, held: Variant) -> tuple[str, ...]:
