@@ -7,22 +7,16 @@ from collections.abc import Sequence
 from typing import Any
 
 _LEAST = 1e-3  # percent; smaller shares are written as ``< 0.001 %``
-_MANY = 1000.0  # percent; larger ones are written as multiples
 
 
 def percent(value: float | None) -> str:
-    """A share as people read it: ``1.99 %``; ``< 0.001 %`` where it is smaller than that.
-
-    From 1000 % on it is a multiple, ``1020 times``: of 101804 % no digit but the first is of use.
-    """
+    """A share as people read it: ``1.99 %``; ``< 0.001 %`` where it is smaller than that."""
     if not _is_finite_number(value):
         return "-"
     share = 100 * float(value)  # type: ignore[arg-type]
     if 0 < abs(share) < _LEAST:
         return f"< {_LEAST:g} %"
-    if abs(share) >= _MANY:
-        return f"{float(f'{share / 100:.3g}'):.6g} times"
-    return f"{share:#.3g} %".replace(". ", " ")
+    return f"{share:.0f} %" if abs(share) >= 1000 else f"{share:#.3g} %".replace(". ", " ")
 
 
 def error_percent(value: float | None) -> str:

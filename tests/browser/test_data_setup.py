@@ -12,7 +12,7 @@ BEGIN = "button:has-text('Compare with the model'):enabled"
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """Three runs of one hardening spring, a machine that feeds itself, a rotor at one speed."""
+    """Runs of a hardening spring, a machine that feeds itself, a free swing, a steady rotor."""
     from scipy.integrate import solve_ivp
 
     from tests.scenes import planar_record
@@ -40,6 +40,13 @@ def files(tmp_path_factory):
     fed += rng.normal(size=SAMPLES) * 0.01 * fed.std()
     np.savetxt(folder / "fed.csv", np.column_stack([time, fed, force(time) / 2]), "%.9g",
                delimiter=",", header="t,x,force", comments="")  # fmt: skip
+    swing = solve_ivp(
+        lambda t, s: [s[1], -0.05 * s[1] - 20 * np.sin(s[0])], (0, 20), [0.5, 0],
+        t_eval=np.arange(2000) / 100.0, rtol=1e-8,
+    ).y[0]  # fmt: skip
+    swing += np.random.default_rng(4).normal(size=2000) * 0.002
+    np.savetxt(folder / "swing.csv", np.column_stack([np.arange(2000) / 100.0, swing]), "%.9g",
+               delimiter=",", header="t,angle", comments="")  # fmt: skip
     steady = planar_record(3, noise=0.01, duration=10.0, hertz=(20.0, 20.0))
     rows = np.column_stack([steady.time, steady.channels["x"], steady.channels["y"],
                             steady.inputs["speed"]])[8000:]  # fmt: skip
@@ -235,13 +242,9 @@ def test_what_reading_changes_is_drawn_before_it_is_fitted(tab, served, files, p
     picture(tab, "reading")
 
 
-def test_a_measured_record_without_an_input_needs_a_mouse_alone(tab, served, picture):
-    """The record that comes with the program: nothing drives it, and nothing is typed."""
-    tab.goto(served.address)
-    tab.click("button:has-text('No file at hand')")
-    tab.wait_for_selector("#plot-columns .main-svg")
-    tab.click(".q-select >> nth=0")
-    tab.click(".q-menu .q-item:has-text('pendulum')")
+def test_a_record_without_an_input_needs_a_mouse_alone(tab, served, files, picture):
+    """A free swing: nothing drives it, and but for a rate nothing is typed."""
+    upload(tab, served, files / "swing.csv", "pendulum")
     tab.wait_for_selector("main:has-text('Still to choose: a column for torque')")
     choose(tab, "torque", "held at zero")
     tab.wait_for_selector(BEGIN)
