@@ -152,6 +152,7 @@ def test_a_conductance_that_grows_with_a_power_of_the_flow_is_named():
     fit, test = (record_of(system, lambda q: 30 * q**0.8, seed) for seed in (1, 2))
     run = spiral.discover(fit, system, test=test, progress=silent)
     assert run.missing == ("power_change@h-q",)
+    assert "only in combination" not in run.summary  # of the unit and h one is held
     told = run.model.estimates()["power_change@h-q"]["exponent"]
     assert abs(told.estimate - 0.8) < 3 * told.se
     assert run.rounds[-1].comparison.test_error < 1.1 * run.rounds[-1].comparison.noise_floor

@@ -11,6 +11,7 @@ from spiral.inference.evidence.admission import TOLD
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
 from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood, schwarz_penalty
+from spiral.inference.likelihood.identify import find_parameter_ties
 from spiral.types.effect import Effect
 from spiral.types.parameter import Parameter
 
@@ -107,8 +108,12 @@ def held_shapes(assembly: Assembly, fit: LikelihoodFit, effect: Effect) -> tuple
 def is_shape_determined(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
     """Whether all these shapes of an effect have a relative standard error of at most ``TOLD``.
 
-    That of a shape with a grid on both sides of zero is relative to its largest grid value.
+    That of a shape with a grid on both sides of zero is relative to its largest grid value. One
+    that the record tells only in combination with another parameter (the unit in which a power
+    counts, with its factor) is not determined.
     """
+    if {*keys} & {*find_parameter_ties(fit).parts}:
+        return False
     values, errors = fit.estimate.values, fit.estimate.errors
     sizes = {
         f"{effect.label}.{p.name}": max(map(abs, p.grid))
