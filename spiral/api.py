@@ -22,7 +22,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import construct
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
-from spiral.types.run import Comparison, Diagnosis, Run
+from spiral.types.run import Comparison, Diagnosis, Run, require_run
 from spiral.types.system import System
 
 if TYPE_CHECKING:
@@ -185,11 +185,7 @@ def add(run: Run, *effects: str | Effect, **choices: Any) -> tuple[Comparison, C
 
     if not effects:
         raise ConfigError("add without an effect", "spiral.add(run, EFFECT, ...)")
-    if not isinstance(run, Run):
-        raise ConfigError(
-            f"add to a {type(run).__name__}", "a run, as spiral.discover gives it",
-            "run = spiral.discover(record, system), then spiral.add(run, EFFECT)",
-        )  # fmt: skip
+    require_run(run)
     registry = _registry(choices.pop("plugins", None))
     with _progress_context(choices) as progress:
         asked = _problem_of_run(run)
@@ -393,7 +389,7 @@ def _problem_of_run(run: Run) -> Problem:
     ------
     ConfigError : a run that was not made in this process.
     """
-    if run.question is None:
+    if require_run(run).question is None:
         raise ConfigError(
             "a run without its records", "one that spiral.discover made here", "discover again"
         )

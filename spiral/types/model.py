@@ -140,6 +140,14 @@ class Model:
             errors={},
         )
 
+    @property
+    def given_values(self) -> dict[str, float]:
+        """Values by full name as they were given, or as the system's parameters start."""
+        starts = {
+            k: p.start for k, p in self.pairs if p.start is not None and owner_of(k) == "system"
+        }
+        return {**starts, **self.values}
+
     def row(self, whose: str, hint: str) -> np.ndarray:
         """Values of all parameters in their order; ``hint`` says how to give one that is missing.
 

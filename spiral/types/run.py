@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from spiral.types.display import Readable, Summary
+from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent, probability
 from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Model, estimates_dict
@@ -390,6 +391,21 @@ class Run:
             "unknown": self.unknown,
             "memory": self.memory,
         }
+
+
+def require_run(given: object) -> Run:
+    """The run that was given.
+
+    Raises
+    ------
+    ConfigError : anything else, a record or a model.
+    """
+    if not isinstance(given, Run):
+        raise ConfigError(
+            f"a {type(given).__name__}", "a run, as spiral.discover gives it",
+            "run = spiral.discover(record, system)",
+        )  # fmt: skip
+    return given
 
 
 def estimate_rows(result: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from spiral.types.model import Model
-from spiral.types.run import Run, estimate_rows
+from spiral.types.run import Run, estimate_rows, require_run
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -123,7 +123,7 @@ def saved_form(run: Run) -> dict[str, Any]:
     from spiral.io.storage import saved_run_content
     from spiral.io.writing import replace_nonfinite
 
-    asked = run.question
+    asked = require_run(run).question
     data = {} if asked is None else {"records": asked.records, "test": asked.test}
     saved = saved_run_content("discover", run.as_dict(), run.model, {}, data, load_registry(None))
     return replace_nonfinite(saved)
@@ -132,4 +132,4 @@ def saved_form(run: Run) -> dict[str, Any]:
 def _finite_result(run: Run) -> Mapping[str, Any]:
     from spiral.io.writing import replace_nonfinite
 
-    return replace_nonfinite(run.as_dict())
+    return replace_nonfinite(require_run(run).as_dict())

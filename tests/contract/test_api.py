@@ -138,3 +138,14 @@ def test_a_wrong_choice_is_refused_in_words(record, call, hint):
     with pytest.raises(SpiralError) as error:
         call(record)
     assert hint in str(error.value)
+
+
+@pytest.mark.parametrize("what", ["report", "add", "figures"])
+def test_what_needs_a_run_says_so(what, tmp_path):
+    calls = {
+        "report": lambda: spiral.report(object(), tmp_path / "report.html"),
+        "add": lambda: spiral.add(object(), "cubic_stiffness"),
+        "figures": lambda: spiral.plot.figures(object()),
+    }
+    with pytest.raises(SpiralError, match="a run, as"):
+        calls[what]()

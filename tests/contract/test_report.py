@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+import spiral
 from spiral.cli import main
 from spiral.io.curves import FILE, read_curves
 from spiral.io.storage import load_run, read_run
@@ -55,6 +56,22 @@ def html(place):
 @pytest.fixture(scope="module")
 def curves(saved):
     return read_curves(saved.file.parent)
+
+
+def test_a_port_between_two_masses_has_its_missing_force_drawn():
+    """What such a port measures, b - a, is no state to draw the force over."""
+    between = spiral.system(
+        ["m*a'' + c*a' + k*a + joint*(a - b) = F", "m*b'' + c*b' + k*b + joint*(b - a) = 0"],
+        states={"a": "m", "b": "m"}, inputs={"F": "N"}, observed=["a"], ports={"gap": "b - a"},
+        parameters={"m": (1.0, "kg"), "c": (1.0, "N*s/m"), "k": (90.0, "N/m"),
+                    "joint": (50.0, "N/m")},
+    )  # fmt: skip
+    force = {"F": {"noise": 1.0, "band": [0.5, 5]}}
+    record = spiral.simulate(between, 6.0, 50.0, inputs=force, noise_level=0.01)
+    run = spiral.discover(record, between, candidates=[])
+    drawn = spiral.plot.figures(run)["surface"]
+    over = [axis.title.text.partition(" ")[0] for axis in drawn.select_xaxes()]
+    assert over == ["a", "b", "a'", "b'"]
 
 
 class Fetches(HTMLParser):

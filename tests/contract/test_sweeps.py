@@ -13,6 +13,7 @@ import pytest
 from spiral.cli import main
 from spiral.io.registry import load_registry
 from spiral.io.sweeps.sweep import run_sweep
+from tests.marks import others_slow
 from tests.sweep_jobs import RECORD, echo, plan_of
 
 
@@ -176,7 +177,9 @@ def under_way():
     process.wait()
 
 
-@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("sent", "code"), others_slow([(signal.SIGINT, 130), (signal.SIGTERM, 143)], 1)
+)
 def test_a_signal_ends_the_workers_and_keeps_what_is_done(under_way, sent, code):
     workers = _children(under_way.pid)
     under_way.send_signal(sent)

@@ -15,6 +15,7 @@ from experiments.studies.rates import wilson
 from spiral.io.question import USUAL_STRATEGY
 from spiral.physics.trace import trace
 from spiral.types.effect import ForceEffect
+from tests.marks import others_slow
 from tests.scenes import registry
 
 SOME = (
@@ -25,7 +26,7 @@ SOME = (
 QUICK = [c for c in CASES if c.effect in SOME]
 
 
-@pytest.mark.parametrize("case", QUICK, ids=lambda c: c.effect)
+@pytest.mark.parametrize("case", others_slow(QUICK, 4), ids=lambda c: c.effect)
 def test_of_a_short_record_the_hidden_effect_is_the_first_suggestion_and_adding_it_is_enough(case):
     found_and_enough(replace(case, scene=replace(case.scene, duration=0.2 * case.scene.duration)))
 
@@ -95,13 +96,15 @@ def test_sensors_and_flows_with_cases_are_traced_together():
     assert sp.count_ops(reading) < 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "label", "strength", "noise", "seed", "floors"), [
     # begins slowly, beside noise of the seed's; the head of a test record tells less of its phase
     # where what the late sensors hold is unknown too
-    pytest.param("planar_rotor", "delay", "strong", 0.005, 2, 1.4, marks=pytest.mark.slow),
+    ("planar_rotor", "delay", "strong", 0.005, 2, 1.4),
     # several valleys, a shape tried at zero
-    pytest.param("chain_2", "bouc_wen@link1", "medium", 0.02, 1, 1.2, marks=pytest.mark.slow),
-    ("chain_2", "offset", "medium", 0.02, 1, 1.2),  # of both sensors: a load in one number
+    ("chain_2", "bouc_wen@link1", "medium", 0.02, 1, 1.2),
+    # of both sensors: a load in one number
+    ("chain_2", "offset", "medium", 0.02, 1, 1.2),
 ])  # fmt: skip
 def test_the_default_names_what_is_hidden_first_and_alone(
     scene, label, strength, noise, seed, floors

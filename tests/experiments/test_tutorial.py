@@ -37,7 +37,7 @@ SHORT = (  # of 14 s, and of the catalog what is hidden and what looks like it
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(SHORT, id="short"),
+        pytest.param(SHORT, id="short", marks=pytest.mark.slow),
         pytest.param((), id="as written", marks=pytest.mark.slow),
     ],
 )

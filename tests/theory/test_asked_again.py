@@ -42,6 +42,7 @@ def test_what_is_told_apart_in_the_end_is_no_look_alike(record):
     assert "cannot tell" not in run.summary
 
 
+@pytest.mark.slow
 def test_a_likelier_look_alike_takes_the_place_of_what_was_admitted(record):
     """A gap is admitted by hand in place of the spring; beside friction it is not as likely."""
     question = spiral.discover(record, "oscillator", candidates=CANDIDATES).question
@@ -68,6 +69,7 @@ def _sledge(t, x, u, p):
     return [u.w - x.v, (p.k * x.s + p.c * (u.w - x.v)) / 2.0]
 
 
+@pytest.mark.slow
 def test_a_special_case_that_explains_as_much_takes_the_place():
     """v x / (K + |x|) with K = 0 is dry friction: chosen by hand, it gives way to that name."""
     sledge = spiral.system(

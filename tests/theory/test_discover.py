@@ -87,6 +87,7 @@ def _constant_speed(settled: bool, seed: int):
     return source.load(PlanarRotor())[0]
 
 
+@pytest.mark.slow
 def test_constant_speed_in_steady_state_is_refused_with_groups_and_advice():
     problem = planar_problem(_constant_speed(True, 1), _constant_speed(True, 2))
     run = discover(problem)

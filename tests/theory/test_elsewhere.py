@@ -42,7 +42,8 @@ def _system():
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.slow) for s in (2, 3))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_softening_spring_is_no_hysteresis_and_an_offset_is_no_noise(tmp_path, seed):
     """Alone the spring runs free worse than none, and coloured noise takes the offset."""
     path, offset = _softening(tmp_path, seed)

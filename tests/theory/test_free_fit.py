@@ -26,6 +26,7 @@ def fitted(record, test=None):
     return begun.assembly, fit_by_likelihood(begun.assembly, begun.fit_state)
 
 
+@pytest.mark.slow
 def test_beside_random_forces_the_more_precise_values_stay():
     """Forces of a quarter of the machine's own, in 12 records: efficient values are left alone."""
     kept = []

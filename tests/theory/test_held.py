@@ -62,6 +62,7 @@ def test_nothing_is_invented_and_what_is_not_told_is_said(tmp_path):
     assert "keeps the value that it was given" in run.summary
 
 
+@pytest.mark.slow
 def test_parameters_without_given_values_are_held_at_fitted_ones(tmp_path):
     """Of two springs in parallel only the sum is told; what is missing is still the question."""
 

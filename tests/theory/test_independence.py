@@ -87,6 +87,7 @@ def test_records_of_one_study_have_the_same_columns_whatever_stands_still_in_one
     assert columns[0] == columns[1]
 
 
+@pytest.mark.slow
 def test_a_random_force_beside_an_anti_alias_filter_is_nothing_missing():
     candidates = ["cubic_stiffness", "quadratic_damping"]
     run = spiral.discover(_record(3), Oscillator(), test=_record(4), candidates=candidates)

@@ -25,6 +25,7 @@ from spiral.physics.trace import trace
 from spiral.types.errors import InputError, SpiralError
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
+from tests.marks import others_slow
 
 TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 2.0}
 WRONG = {**TRUTH, "system.mass": 1.1, "linear_stiffness.stiffness": 430.0}
@@ -46,7 +47,7 @@ def driven(seed, name):
     return replace(record, noise={})
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize("name", others_slow(HIDDEN, 2))
 def test_what_an_actuator_does_is_named_and_measured(name):
     run = spiral.discover(driven(0, name), "oscillator", test=driven(50, name), values=WRONG)
     assert run.missing == (name,)
@@ -144,7 +145,7 @@ def straight(seed, rate):
     )
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", others_slow([0, 1], 1))
 def test_straight_lines_between_samples_are_found(seed):
     """A rough force at seven samples a period: a spline through it is another force."""
     run = spiral.discover(straight(seed, 20.0), "oscillator", values=WRONG)
@@ -173,6 +174,7 @@ def test_a_lag_is_no_hold():
     assert not any(r.comparison.between for r in run.rounds)
 
 
+@pytest.mark.slow
 def test_a_hold_is_found_beside_a_random_force():
     """Gusts that the model cannot explain: the hold is likelier than any actuator."""
     run = spiral.discover(recorded(None, 4000, push=0.025), "oscillator", values=WRONG)

@@ -1,5 +1,6 @@
 """Pairs that look alike, tried in both orders: what was hidden is named, or both where none can."""
 
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -15,6 +16,7 @@ from spiral.inference.rounds import (
     strategy_for,
 )
 from spiral.types.model import Model, seed_model
+from tests.marks import others_slow
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
 
 STIFF = SEED_TRUTH["linear_stiffness.stiffness_x"] - SEED_TRUTH["linear_stiffness.stiffness_y"]
@@ -29,10 +31,8 @@ HIDDEN = {
 TURNED = ("axis_rotation", "cross_stiffness", "cross_damping")
 ROUND = ("runout", "shaft_bow", "unbalance")
 ORDERS = [
-    pytest.param(truth, first, marks=[pytest.mark.slow] if truth == first else [])
-    for group in (TURNED, ROUND[:2])
-    for truth in group
-    for first in group
+    *(each for group in (TURNED, ROUND[:2]) for each in itertools.permutations(group, 2)),
+    *((one, one) for one in (*TURNED, *ROUND[:2])),
 ]
 
 
@@ -72,7 +72,7 @@ def _ends_with(at, truth):
         assert abs(found.estimate - value) < 4.5 * found.se
 
 
-@pytest.mark.parametrize(("truth", "first"), ORDERS)
+@pytest.mark.parametrize(("truth", "first"), others_slow(ORDERS, 2))
 def test_whichever_comes_first_the_hidden_one_remains_alone(truth, first):
     """A turned probe pair reads K' = R K R^T and C' = R C R^T: a cross stiffness a (k_x - k_y) and
     a cross damping a (c_x - c_y) at once. So the three span two directions, and each is a pair of

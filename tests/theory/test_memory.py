@@ -36,6 +36,7 @@ from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import At, Port
 from spiral.types.system import MechanicalSystem
 from spiral.types.units import check_units
+from tests.marks import others_slow
 from tests.scenes import admitted, effect, planar_problem, planar_record
 
 BASE = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e4, "linear_damping.damping": 20.0}
@@ -287,7 +288,7 @@ def test_the_residual_has_its_peak_where_the_hidden_frequency_is(name):
     assert all(v.searched * len(scan.variants) >= 0.8 * len(scan.frequency) for v in scan.variants)
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize("name", others_slow(HIDDEN, 1))
 def test_it_is_found_first_and_adding_it_is_enough(name):
     run = discover(_problem(name, max_rounds=2))
     assert run.rounds[1].admitted == (name,)

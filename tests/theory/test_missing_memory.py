@@ -9,11 +9,12 @@ from scipy.interpolate import CubicSpline
 from experiments.memory.bench import SAYS, asked
 from spiral.physics.history import _KNOTS, PresentForce, RememberedForce, _spline_terms
 from spiral.types.port import At
+from tests.marks import others_slow
 
 CANDIDATES = ["cubic_stiffness", "quadratic_damping"]
 
 
-@pytest.mark.parametrize("kind", ["bouc_wen", "stribeck"])
+@pytest.mark.parametrize("kind", others_slow(["bouc_wen", "stribeck"], 1))
 def test_hysteresis_is_told_and_a_curve_is_not(kind):
     """Bouc-Wen of exponent two against friction that falls with speed: neither is a candidate."""
     run = asked(kind, 0.02, 11, CANDIDATES)
@@ -28,6 +29,7 @@ def test_hysteresis_is_told_and_a_curve_is_not(kind):
         assert run.as_dict()["memory"] == run.memory
 
 
+@pytest.mark.slow
 def test_a_spring_that_hardens_is_named_beside_hysteresis():
     """Its cubic force is there whatever the memory; k3 = 400 N/m / (0.016 m)^2 = 1.56e6 N/m^3."""
     run = asked("hardening", 0.01, 2, CANDIDATES)

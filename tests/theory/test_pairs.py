@@ -103,6 +103,7 @@ def _record(name, seed, samples):
     return make_record(_system(), name, time, seen, {"F": force})
 
 
+@pytest.mark.slow
 def test_a_coriolis_force_between_two_masses_is_named_first_and_alone():
     run = spiral.discover(_record("record", 1, 2000), _system(), test=_record("test", 2, 800))
     assert run.missing == (PAIR,)

@@ -17,6 +17,7 @@ from spiral.inference.planned_tests import planned_tests, simulator
 from spiral.inference.problem import Problem
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model, seed_model
+from tests.marks import others_slow
 from tests.scenes import SEED_TRUTH, effect, planar_record, registry
 
 GYROSCOPIC, DAMPING = effect("gyroscopic"), effect("antisymmetric_damping")
@@ -72,7 +73,7 @@ def test_the_shortest_test_that_suffices_comes_first(planned):
     assert all(o.probability < 0.01 for o in planned.tests[2:])
 
 
-@pytest.mark.parametrize("label", LABELS)
+@pytest.mark.parametrize("label", others_slow(LABELS, 1))
 def test_the_proposed_test_separates_when_it_is_run(label, steady, planned):
     """Whichever is the truth, it is named alone; the test that came last names nothing or both."""
     model = truth(label)

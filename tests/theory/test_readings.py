@@ -217,6 +217,7 @@ def shaken(seed, friction=0.0):
     return system, record_of(system, time, force(time), told, noise=0.01, seed=seed)
 
 
+@pytest.mark.slow
 def test_friction_is_named_by_an_accelerometer_alone():
     system, record = shaken(5, friction=4.0)
     run = spiral.discover(record, system, plugins=NO_FOLDER)

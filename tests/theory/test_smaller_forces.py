@@ -62,6 +62,7 @@ def study():
     return assembly, fit_by_likelihood(assembly, state, noise, rough=True)
 
 
+@pytest.mark.slow
 def test_a_small_force_with_a_memory_takes_the_place_of_a_large_one_on_a_store(study):
     """White on the store it has to be as large as the store's own rate; the true one is small."""
     assembly, large = study

@@ -118,6 +118,7 @@ def test_a_worn_seal_between_two_chambers_is_named():
     assert run.verdict == "effect_missing"
 
 
+@pytest.mark.slow
 def test_waning_immunity_is_named():
     """An epidemic of which the infected alone are counted, and who was immune is so no longer."""
     text = """
@@ -153,6 +154,7 @@ def filled(seed, *hidden, **values):
     return replace(record, noise={})
 
 
+@pytest.mark.slow
 def test_a_loss_of_a_hidden_state_is_named_at_its_place_with_its_rate():
     """An orifice in the upper tank, whose level nobody measures."""
     lost = effect("root_loss@upper")
@@ -165,6 +167,7 @@ def test_a_loss_of_a_hidden_state_is_named_at_its_place_with_its_rate():
     assert abs(rate.estimate - 0.08) < 3 * rate.se
 
 
+@pytest.mark.slow
 def test_what_runs_over_a_rim_is_named_with_its_threshold():
     """From 1 m on the upper tank loses what nobody catches."""
     values = {"threshold_loss@upper.rate": 0.3, "threshold_loss@upper.threshold": 1.0,

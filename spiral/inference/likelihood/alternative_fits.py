@@ -165,7 +165,7 @@ def _fits_at_given_values(
 
 def _given_values_if_far(assembly: Assembly, state: FitState) -> FitState | None:
     """The state with the system's values as they were given; nothing where it is near them."""
-    known, values = assembly.problem.model.values, state.values.copy()
+    known, values = assembly.problem.model.given_values, state.values.copy()
     behind = False
     for key in (k for k in free_parameters(assembly, state) if known.get(k)):
         at = assembly.study.index(key)

@@ -118,7 +118,7 @@ def _noise_and_residual_fields(
         "disturbed": carried.forces,
         "departures": (
             *describe_departures(model, fit.estimate, white, sizes),
-            *far_value_sentences(fit.estimate, assembly.problem.model.values),
+            *far_value_sentences(fit.estimate, assembly.problem.model.given_values),
         ),
     }
 

@@ -92,7 +92,7 @@ def parameter_bounds(
     that the record does not determine stays within ``_FURTHEST`` times the one given, beyond which
     squares overflow.
     """
-    given = assembly.problem.model.values
+    given = assembly.problem.model.given_values
     traced = assembly.study.compiled.traced
     known = dict(zip(traced.keys, traced.parameters, strict=True))
     steps = (s.dt / max(s.substeps, substeps) for s in assembly.study.series)

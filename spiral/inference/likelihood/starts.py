@@ -82,10 +82,7 @@ def _refit_runaway_values(
     A value far beyond what was given (a heat capacity without end) has no slope left there, and
     others make up for it. It is held as given while the others find theirs, and then let go.
     """
-    known, index = assembly.problem.model.values, assembly.study.index
-    keys = [k for k in free_parameters(assembly, fit.state) if known.get(k)]
-    shares = {k: float(fit.state.values[0, index(k)]) / known[k] for k in keys}
-    lost = tuple(k for k, x in shares.items() if not 1 / _AWAY <= x <= _AWAY)
+    lost = _runaway_values(assembly, fit)
     if not lost:
         return []
     progress("starting again with runaway values held")
@@ -96,6 +93,14 @@ def _refit_runaway_values(
         return []
     free = replace(first.state, held=state.held)
     return [fit_by_likelihood(assembly, free, noise, rough=True)]
+
+
+def _runaway_values(assembly: Assembly, fit: LikelihoodFit) -> tuple[str, ...]:
+    """The free parameters that are a hundred times larger or smaller than they were given."""
+    known, index = assembly.problem.model.given_values, assembly.study.index
+    keys = [k for k in free_parameters(assembly, fit.state) if known.get(k)]
+    shares = {k: float(fit.state.values[0, index(k)]) / known[k] for k in keys}
+    return tuple(k for k, x in shares.items() if not 1 / _AWAY <= x <= _AWAY)
 
 
 def restart_from_sensor_noise(
@@ -118,7 +123,7 @@ def restart_from_sensor_noise(
 
 def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:
     """The state with its free parameters at the given values; nothing where none was given."""
-    known = assembly.problem.model.values
+    known = assembly.problem.model.given_values
     keys = [k for k in free_parameters(assembly, state) if np.isfinite(known.get(k, np.nan))]
     values = state.values.copy()
     for key in keys:
@@ -133,17 +138,16 @@ def restart_from_given_values(
 
     While noise of a kind that nobody knows yet (a sensor that drifts) looks like motion, values may
     go where they explain it (an absorber that does not move) and do not come back by themselves.
-    Its forces are as they are by now, and as a first start has them; the ladder is climbed from the
-    likelier end. Nothing is tried where the model explains the records beside white noise.
+    Neither does a value that ran away (a stiffness without end) while an effect was missing. Its
+    forces are as they are by now, and as a first start has them; the ladder is climbed from the
+    likelier end. Nothing is tried where the model explains the records beside white noise with
+    values that are no hundred times the given ones.
     """
     at = fit.estimate
     usual = all(term.kind in ("white", "force") for term in at.noise.terms)
     given = with_given_values(assembly, fit.state)
-    if (
-        not at.finite
-        or given is None
-        or (usual and is_random_force_small(fit) and is_white(assembly, fit))
-    ):
+    explained = usual and is_random_force_small(fit) and is_white(assembly, fit)
+    if not at.finite or given is None or (explained and not _runaway_values(assembly, fit)):
         return fit
     progress("starting again from the values given, with the noise that is known by now")
     first = first_noise(at.prepared[0][0], LEVEL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 _BINS = 24
+_COORDINATES = 2  # over which the missing force is drawn, where its port measures no state
 _LAGS = 60
 _LOUD = 20.0  # dB over the noise, least top of the colour scale: noise alone stays dark
 _OVER = "dB above the noise"
@@ -177,12 +179,13 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
     assert states is not None
     names = [s["name"] for s in curves.meta["states"]]
     units = {s["name"]: s["unit"] for s in curves.meta["states"]}
-    axes = [a for a in about["axes"] if a in names]
-    wanted = [*axes, *(f"{a}_rate" for a in axes if f"{a}_rate" in names)]
-    series = {n: states[:, names.index(n)] for n in wanted}
+    axes = about["axes"]
+    series = {n: states[:, names.index(n)] for n in _surface_states(axes, names)}
     phase = curves.get(number, "phase")
     if phase is not None:
         series["angle"], units["angle"] = np.degrees(phase[first : first + len(force)]) % 360, "°"
+    if not axes or not series:
+        return None
     factor, unit = scale_to_prefix(about["force_unit"], force)
     figure = blank_figure(len(axes), len(series), 80 + 230 * len(axes), horizontal_spacing=0.04,
                    vertical_spacing=0.09, shared_yaxes=True, shared_xaxes=True)  # fmt: skip
@@ -190,9 +193,8 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
     for column, (name, values) in enumerate(series.items(), 1):
         size, said = (1.0, "°") if name == "angle" else scale_to_prefix(units[name], values)
         for row in range(1, len(axes) + 1):
-            at = about["axes"].index(axes[row - 1])
             reach[row - 1] += _draw_surface_panel(
-                figure, size * values, factor * force[:, at], row, column
+                figure, size * values, factor * force[:, row - 1], row, column
             )
         title = axis_title(name.replace("_rate", "'"), said)
         figure.update_xaxes(title_text=title, row=len(axes), col=column)
@@ -205,6 +207,16 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
         edge = 0.06 * (high - low or 1.0)
         figure.update_yaxes(range=[low - edge, high + edge], row=row)  # of all its panels
     return figure
+
+
+def _surface_states(axes: Sequence[str], names: Sequence[str]) -> list[str]:
+    """The states of a port's axes and their rates.
+
+    What a port measures may be no state (the difference of two): the first coordinates then.
+    """
+    moving = [n for n in names if f"{n}_rate" in names][:_COORDINATES]
+    own = [a for a in axes if a in names] or moving
+    return [*own, *(f"{a}_rate" for a in own if f"{a}_rate" in names)]
 
 
 def _draw_surface_panel(figure: Any, x: Array, force: Array, row: int, column: int) -> list[float]:
