@@ -33,6 +33,7 @@ def record():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_is_told_apart_in_the_end_is_no_look_alike(record):
     run = spiral.discover(record, "oscillator", candidates=CANDIDATES)
     first = run.rounds[1]

@@ -167,6 +167,7 @@ def test_an_input_that_the_record_cannot_tell_runs_as_its_system_says():
     assert not found.between
 
 
+@pytest.mark.slow
 def test_a_lag_is_no_hold():
     """Half a sample late is a little of a lag that is missing; the lag itself is likelier."""
     run = spiral.discover(driven(1, "actuator_lag"), "oscillator", values=WRONG)

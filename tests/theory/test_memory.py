@@ -36,7 +36,6 @@ from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import At, Port
 from spiral.types.system import MechanicalSystem
 from spiral.types.units import check_units
-from tests.marks import others_slow
 from tests.scenes import admitted, effect, planar_problem, planar_record
 
 BASE = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e4, "linear_damping.damping": 20.0}
@@ -288,7 +287,8 @@ def test_the_residual_has_its_peak_where_the_hidden_frequency_is(name):
     assert all(v.searched * len(scan.variants) >= 0.8 * len(scan.frequency) for v in scan.variants)
 
 
-@pytest.mark.parametrize("name", others_slow(HIDDEN, 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HIDDEN)
 def test_it_is_found_first_and_adding_it_is_enough(name):
     run = discover(_problem(name, max_rounds=2))
     assert run.rounds[1].admitted == (name,)
@@ -325,6 +325,7 @@ def test_it_is_found_first_on_a_rotor(name):
     _covered(run.model, name, ROTOR[name])
 
 
+@pytest.mark.slow
 def test_nothing_is_invented():
     """Null records, the residual resolved and scored though no round would call for it."""
     for seed in range(3):

@@ -12,8 +12,12 @@ from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise
 from spiral.inference.likelihood.comparison import reportable_noise
-from spiral.inference.likelihood.fitting import fit_by_likelihood, restart_vanished_noise
-from spiral.inference.likelihood.ladder import select_noise_model
+from spiral.inference.likelihood.fitting import (
+    continue_fit,
+    fit_by_likelihood,
+    restart_vanished_noise,
+)
+from spiral.inference.likelihood.ladder import reselect_noise_model, select_noise_model
 from spiral.inference.problem import silent
 from spiral.types.model import seed_model
 from tests.swept_oscillator import KEYS, TRUTH, record_of, shaken, states_alone, task_of
@@ -115,6 +119,23 @@ def test_the_ladder_takes_up_the_noise_that_is_there(kind):
         assert found.values["vibration.damping"] == pytest.approx(0.05, rel=0.5)
     kinds = {t.kind for t in found.terms} - {"white", "force"}
     assert kinds == (set() if kind == "white" else {kind})
+
+
+def test_noise_that_did_the_work_of_an_effect_gives_way_to_what_is_there():
+    """A drift that made up for an effect stays by itself once the effect is in the model."""
+    record = record_of(5, samples=3000, noise=0.02)
+    own = relaxed(np.random.default_rng(5), 3000, 0.95) * 0.05 * np.std(record.channels["x"])
+    seen = {"x": record.channels["x"] + own}
+    assembly, state = unfitted(replace(record, channels=seen, noise={}))
+    white = fit_by_likelihood(assembly, state)
+    drift, size = NoiseTerm("drift", "x"), 0.1 * float(np.std(own))
+    drifting = continue_fit(
+        assembly, white, white.estimate.noise.with_terms((drift,), {drift.size: size}), rough=True
+    )
+    anew = reselect_noise_model(assembly, drifting, silent)
+    assert {t.kind for t in anew.estimate.noise.terms} - {"white", "force"} == {"coloured"}
+    assert anew.log_likelihood > drifting.log_likelihood + 5
+    assert reselect_noise_model(assembly, anew, silent) is anew
 
 
 def ringing(rng, count, turn, ratio):

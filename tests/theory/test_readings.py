@@ -326,6 +326,7 @@ def test_a_distance_without_sign_has_a_unit():
     assert equations(TWO, observed=["gap = abs(x - z)"]).unit_of("gap") == "m"
 
 
+@pytest.mark.slow
 def test_the_zero_of_an_accelerometer_is_told_from_slow_noise():
     """Noise behind a filter with a bias under it: first taken for noise that hardly moves."""
     system, record = shaken(7)

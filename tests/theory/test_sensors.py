@@ -237,6 +237,7 @@ def test_a_direction_in_the_span_of_the_model_is_named_and_held():
     assert free.with_ == ()
 
 
+@pytest.mark.slow
 def test_run_out_is_neither_an_unbalance_nor_a_bow_where_the_speed_sweeps():
     run = _run("runout")
     assert admitted(run) == ["runout"]
@@ -304,6 +305,7 @@ def test_every_sensor_effect_is_found_first(name, seed):
     assert run.final.test_error <= 1.2 * run.final.noise_floor
 
 
+@pytest.mark.slow
 def test_several_records_with_a_line_of_the_mains_are_asked_without_harm():
     """Its phase is each record's own, which one amplitude for all cannot hold: it is not named."""
     system = spiral.system(

@@ -21,7 +21,7 @@ from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import Task, build_task
 from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
-from spiral.engine.likelihood.noise import STEEPEST, NoiseModel, NoiseTerm, size_limits
+from spiral.engine.likelihood.noise import EXTRA, STEEPEST, NoiseModel, NoiseTerm, size_limits
 from spiral.engine.likelihood.predict import Prepared, log_likelihood, predict_cases
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
@@ -90,6 +90,24 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
         apart = _best_noise_model(fit.estimate, list(_separate_forces(fit.estimate)))
         fit = fit if apart is None else continue_fit(assembly, fit, apart.noise, rough=True)
     return _select_force_location(assembly, fit)
+
+
+def reselect_noise_model(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """The fit with its noise model selected once more from white noise, if that is likelier.
+
+    Terms come and go one at a time. One that did the work of an effect (a drift that of a leak)
+    stays, where with the effect in the model noise of another kind is right.
+    """
+    noise = fit.estimate.noise
+    if not fit.estimate.finite or not any(noise.has_kind(kind) for kind in EXTRA):
+        return fit
+    white = noise.replace_with_white(*EXTRA)
+    progress("selecting the noise model anew")
+    again = select_noise_model(assembly, continue_fit(assembly, fit, white, rough=True), progress)
+    decisive = float(np.log(DECISIVE_ODDS))
+    return again if _worth_beside(again.estimate, fit.estimate) > decisive else fit
 
 
 def _select_force_location(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:

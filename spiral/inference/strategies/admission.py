@@ -50,6 +50,7 @@ from spiral.inference.likelihood.judging import JudgingFits, fit_on_judging_bloc
 from spiral.inference.likelihood.ladder import (
     drop_needless_forces,
     drop_needless_noise,
+    reselect_noise_model,
     select_noise_model,
 )
 from spiral.inference.likelihood.scores import rank_variants
@@ -415,6 +416,7 @@ def fit_with_effect(
     if not is_white(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
+    fit = reselect_noise_model(own, fit, progress)
     fit = finish_fit(own, restore_declared_interpolation(own, fit, progress), progress)
     fit, gone = drop_superfluous_effects(own, fit, label)
     fit, needless = replace_by_interpolation(own, fit, progress)

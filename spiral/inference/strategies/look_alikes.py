@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.likelihood.noise import EXTRA
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking, amplitude_keys
@@ -98,13 +99,13 @@ def prefer_special_case(
 
     These may have dropped out of the race early, while they still had to find the width of a
     friction, say. Twins that are not told from the winner are among its aliases. Where effects that
-    the model had are let go for it, others at its place are held against it as well: they were
-    raced beside what is gone.
+    the model had are let go for it, or noise of another kind is found beside it, others at its
+    place are held against it as well: they were raced beside what is gone.
     """
     whole, held = passed.whole, passed.rival.ranked.variant
     declared = _declared_look_alikes(whole.assembly, held)
     beside: tuple[str, ...] = ()
-    if whole.settled.retired:
+    if whole.settled.retired or _has_new_noise(passed):
         near = whole.assembly.problem.candidates_beside(held.original)
         beside = tuple(e.label for e in near if e.label != held.original.label)
     others = tuple(dict.fromkeys((*declared, *beside)))
@@ -125,6 +126,15 @@ def prefer_special_case(
     return AcceptedCandidate(
         likelier.passed.rival, aliases, replace(likelier.passed.whole, settled=settled)
     )
+
+
+def _has_new_noise(passed: AcceptedCandidate) -> bool:
+    """Whether a winner's model has noise beyond white that it did not have in the race."""
+    raced, settled = (
+        {(t.kind, t.where) for t in noise.terms if t.kind in EXTRA}
+        for noise in (passed.rival.fit.estimate.noise, passed.whole.fit.estimate.noise)
+    )
+    return not settled <= raced
 
 
 def _special_case_labels(held: Variant) -> tuple[str, ...]:
