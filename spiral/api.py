@@ -185,7 +185,6 @@ def add(run: Run, *effects: str | Effect, **choices: Any) -> tuple[Comparison, C
 
     if not effects:
         raise ConfigError("add without an effect", "spiral.add(run, EFFECT, ...)")
-    require_run(run)
     registry = _registry(choices.pop("plugins", None))
     with _progress_context(choices) as progress:
         asked = _problem_of_run(run)

@@ -9,11 +9,11 @@ from spiral.io.tracking.background import WAIT_VARIABLE
 # A quarter of a minute or more each, longest first: with two workers none of them is begun last.
 LONG = (
     "browser/test_story.py", "browser/test_files.py", "theory/test_discover.py",
-    "browser/test_data_desk.py", "contract/test_how_to.py", "contract/test_plugins.py",
+    "browser/test_data_setup.py", "contract/test_how_to.py", "contract/test_plugins.py",
     "experiments/test_hidden_effects.py", "contract/test_tracking.py", "theory/test_memory.py",
     "theory/test_inputs.py", "docs/test_notebooks.py", "experiments/test_zoo.py",
     "contract/test_third_party.py", "contract/test_unfinished.py", "browser/test_steps.py",
-    "experiments/test_tutorial.py", "theory/test_sensors.py", "theory/test_unknown.py",
+    "theory/test_sensors.py", "theory/test_unknown.py",
     "theory/test_look_alikes.py", "theory/test_calibrate.py", "contract/test_new_and_check.py",
     "contract/test_dask.py", "theory/test_published.py", "experiments/test_configs.py",
     "theory/test_compile.py", "theory/test_laws.py", "browser/test_hostile_files.py",

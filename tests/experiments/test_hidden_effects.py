@@ -26,6 +26,7 @@ SOME = (
 QUICK = [c for c in CASES if c.effect in SOME]
 
 
+# The first of them, linear_stiffness, takes longest.
 @pytest.mark.parametrize("case", others_slow(QUICK[::-1], 3), ids=lambda c: c.effect)
 def test_of_a_short_record_the_hidden_effect_is_the_first_suggestion_and_adding_it_is_enough(case):
     found_and_enough(replace(case, scene=replace(case.scene, duration=0.2 * case.scene.duration)))

@@ -43,7 +43,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.ladder import select_noise_model
 from spiral.inference.likelihood.scores import rank_candidates
-from spiral.inference.likelihood.starts import sensor_noise_only
+from spiral.inference.likelihood.starts import far_from_given, sensor_noise_only
 from spiral.inference.problem import Progress
 from spiral.types.noise import COLOURED
 
@@ -165,13 +165,11 @@ def _fits_at_given_values(
 
 def _given_values_if_far(assembly: Assembly, state: FitState) -> FitState | None:
     """The state with the system's values as they were given; nothing where it is near them."""
+    if not far_from_given(assembly, state, _BEHIND):
+        return None
     known, values = assembly.problem.model.given_values, state.values.copy()
-    behind = False
     for key in (k for k in free_parameters(assembly, state) if known.get(k)):
-        at = assembly.study.index(key)
-        share = float(values[0, at]) / known[key]
-        behind = behind or not 1 / _BEHIND <= share <= _BEHIND
-        values[:, at] = known[key]
-    if not behind or not np.all(np.isfinite(values)):
+        values[:, assembly.study.index(key)] = known[key]
+    if not np.all(np.isfinite(values)):
         return None
     return replace(state, values=values, noise=None, starts=None, spreads=None)

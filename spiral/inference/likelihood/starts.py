@@ -82,7 +82,7 @@ def _refit_runaway_values(
     A value far beyond what was given (a heat capacity without end) has no slope left there, and
     others make up for it. It is held as given while the others find theirs, and then let go.
     """
-    lost = _runaway_values(assembly, fit)
+    lost = far_from_given(assembly, fit.state, _AWAY)
     if not lost:
         return []
     progress("starting again with runaway values held")
@@ -95,12 +95,12 @@ def _refit_runaway_values(
     return [fit_by_likelihood(assembly, free, noise, rough=True)]
 
 
-def _runaway_values(assembly: Assembly, fit: LikelihoodFit) -> tuple[str, ...]:
-    """The free parameters that are a hundred times larger or smaller than they were given."""
+def far_from_given(assembly: Assembly, state: FitState, factor: float) -> tuple[str, ...]:
+    """The free parameters that are by more than a factor larger or smaller than they were given."""
     known, index = assembly.problem.model.given_values, assembly.study.index
-    keys = [k for k in free_parameters(assembly, fit.state) if known.get(k)]
-    shares = {k: float(fit.state.values[0, index(k)]) / known[k] for k in keys}
-    return tuple(k for k, x in shares.items() if not 1 / _AWAY <= x <= _AWAY)
+    keys = [k for k in free_parameters(assembly, state) if known.get(k)]
+    shares = {k: float(state.values[0, index(k)]) / known[k] for k in keys}
+    return tuple(k for k, x in shares.items() if not 1 / factor <= x <= factor)
 
 
 def restart_from_sensor_noise(
@@ -147,7 +147,11 @@ def restart_from_given_values(
     usual = all(term.kind in ("white", "force") for term in at.noise.terms)
     given = with_given_values(assembly, fit.state)
     explained = usual and is_random_force_small(fit) and is_white(assembly, fit)
-    if not at.finite or given is None or (explained and not _runaway_values(assembly, fit)):
+    if (
+        not at.finite
+        or given is None
+        or (explained and not far_from_given(assembly, fit.state, _AWAY))
+    ):
         return fit
     progress("starting again from the values given, with the noise that is known by now")
     first = first_noise(at.prepared[0][0], LEVEL)
