@@ -210,7 +210,8 @@ def test_those_that_a_final_leaves_behind_run_their_own(monkeypatch):
 
     def rival(label, worth):
         ranked = SimpleNamespace(score=SimpleNamespace(gain=worth))
-        return SimpleNamespace(label=label, worth=worth, ranked=ranked)
+        fit = SimpleNamespace(estimate=SimpleNamespace(finite=True))
+        return SimpleNamespace(label=label, worth=worth, ranked=ranked, fit=fit)
 
     runners = [rival("a", 157.0), rival("a", 98.0), rival("b", 90.0), rival("c", 80.0)]
     run = candidates.Race(None, None, None, silent, [*runners, rival("d", -3.0)])
@@ -218,6 +219,9 @@ def test_those_that_a_final_leaves_behind_run_their_own(monkeypatch):
         ("a", 2), ("a", 1), ("b", 2), ("c", 1),
     ]  # fmt: skip
     assert [r.label for r in run.tried] == ["a", "a", "b", "c", "d"]
+    beside = candidates.Race(None, None, None, silent, [*runners, rival("d", -3.0)])
+    left = beside.against_model(400.0, ("d",))
+    assert [(r.label, r.worth) for r in left.runners] == [("a", 157.0), ("d", -3.0)]
 
 
 def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():

@@ -33,6 +33,7 @@ from spiral.engine.likelihood.transition import (
     transition_covariance,
     transition_rows,
     transition_slopes,
+    turn_noise_rows,
 )
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
@@ -117,7 +118,7 @@ def _store_sample(k, c, x, rows, means):
 def _predict_along(
     values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
     y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
-    states, followed_states, followed, entries, f, work, p, later, a, turned, x, c, d,
+    states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
     scratch, space, h, cx, cv,
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
@@ -142,9 +143,9 @@ def _predict_along(
         advance_noise_states(x, phi, first, scratch[0])
         transition_rows(f, driven, entries, first, half, a, turned)
         store_transition(k, a, phi, n, transitions)
-        apply_transition(product, a, phi, p, later, n, size)
+        apply_transition(product, a, phi, links, p, later, n, size)
         transition_slopes(later, f, p, n, first, size, width)
-        transition_covariance(lower, later, turned, phi, q, p, n, size)
+        transition_covariance(lower, later, turned, q, p, size)
     return k + 1 if is_sound(x, p) else k
 
 
@@ -191,16 +192,18 @@ def predict_record(
     f, work = slope_workspace(n, first + width)
     p = _pad_covariance(covariance, width)
     wide, later = len(p), np.zeros_like(p)
-    a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(n)))
+    a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
     x, c, d = np.zeros(wide), np.zeros((m, wide)), np.zeros((m, padded_width(width)))
     scratch, space = np.zeros((2, wide)), np.zeros(2 * p.shape[1])
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     x[:size] = mean
+    links = entries_of(phi)
+    turn_noise_rows(phi, links, n, turned)
     return _predict_along(
         values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
         y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
-        x[:n], x[:first], both[:tracked], entries_of(driven), f, work, p, later, a, turned, x, c, d,
-        scratch, space, h, cx, cv,
+        x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a, turned,
+        x, c, d, scratch, space, h, cx, cv,
     )  # fmt: skip
 
 
@@ -246,7 +249,7 @@ def _propagate_departure(x, a, z, phi, before, n, first, later):
 def _vary_along(
     values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,
     means, gains, rows, before, seen, r, q, phis, misses, spreads,
-    n, first, followed_states, entries, none, f, work, p, x, here, later,
+    n, first, followed_states, entries, links, none, f, work, p, x, here, later,
     scratch, space, w, a, turned,
 ):  # fmt: skip
     """The loop of ``vary_record``, in arrays made before."""
@@ -266,8 +269,9 @@ def _vary_along(
         transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
             _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
-            apply_transition(product, a, phis[v], p[v], w, n, size)
-            transition_covariance(lower, w, turned, phis[v], q[v], p[v], n, size)
+            apply_transition(product, a, phis[v], links, p[v], w, n, size)
+            turn_noise_rows(phis[v], links, n, turned)
+            transition_covariance(lower, w, turned, q[v], p[v], size)
 
 
 @nb.njit(
@@ -302,11 +306,12 @@ def vary_record(
     wide, p = len(blank), np.zeros((len(starts), *blank.shape))
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
     scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
-    a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(n)))
+    a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
     p[:, :size, :size] = starts
+    links = entries_of(np.abs(phi) + np.sum(np.abs(phis), axis=0))
     _vary_along(
         values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,
         means, gains, rows, before, seen, r, q, phis, misses, spreads,
-        n, first, here[:first], entries_of(driven), np.zeros((1, 0)), f, work, p, x, here, later,
-        scratch, space, w, a, turned,
+        n, first, here[:first], entries_of(driven), links, np.zeros((1, 0)), f, work, p, x, here,
+        later, scratch, space, w, a, turned,
     )  # fmt: skip

@@ -4,8 +4,8 @@
 
     [P | S] <- [F P F^T + Q | F S + F_p]
 
-Only A is a full matrix; rows and columns of theta and z follow from it by symmetry. P and S stand
-side by side in one matrix M = [P | S].
+Only A is a full matrix, so F M is made row by row of what is not zero; the product with F^T, which
+makes P, is a full one. P and S stand side by side in one matrix M = [P | S].
 """
 
 from __future__ import annotations
@@ -89,51 +89,42 @@ def store_transition(k, a, phi, n, transitions):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def apply_transition(product, a, phi, m, w, n, size):
-    """W = F M."""
+def apply_transition(product, a, phi, links, m, w, n, size):
+    """W = F M; ``links`` are the entries of Phi that are not zero (``entries_of``)."""
     first = size - phi.shape[0]
     product(a, m, w, n, size)
     for i in range(n, first):
         for j in range(m.shape[1]):
             w[i, j] = m[i, j]
-    for i in range(phi.shape[0]):
+    for i in range(first, size):
         for j in range(m.shape[1]):
-            w[first + i, j] = 0.0
-        for b in range(phi.shape[0]):
-            value = phi[i, b]
-            if value != 0.0:
-                for j in range(m.shape[1]):
-                    w[first + i, j] += value * m[first + b, j]
+            w[i, j] = 0.0
+    for e in range(links.shape[0]):
+        i, b = links[e, 0], links[e, 1]
+        value = phi[i, b]
+        for j in range(m.shape[1]):
+            w[first + i, j] += value * m[first + b, j]
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def transition_covariance(lower, w, turned, phi, q, m, n, size):
-    """P <- W F^T + Q with W = F P; P stays exactly symmetric.
+def turn_noise_rows(phi, links, n, turned):
+    """The columns of F^T that belong to theta and z; those of x are ``transition_rows``'."""
+    first = turned.shape[0] - phi.shape[0]
+    for i in range(n, first):
+        turned[i, i] = 1.0
+    for e in range(links.shape[0]):
+        i, j = links[e, 0], links[e, 1]
+        turned[first + j, first + i] = phi[i, j]
+
+
+@nb.njit(**INNER, fastmath=_FAST)
+def transition_covariance(lower, w, turned, q, m, size):
+    """P <- W F^T + Q with W = F P and ``turned`` F^T; P stays exactly symmetric.
 
     A state without process noise is known ever better; its variance is set to zero before it is too
     small to be a number of full precision, or negative by rounding.
     """
-    first = size - phi.shape[0]
-    lower(w, turned, m, n, size)
-    for i in range(n, first):
-        for j in range(n):
-            m[i, j] = w[j, i]
-        for j in range(n, i + 1):
-            m[i, j] = w[i, j]
-    for i in range(first, size):
-        for j in range(n):
-            m[i, j] = 0.0
-        for j in range(n, first):
-            m[i, j] = w[i, j]
-        for b in range(first, size):
-            value = phi[i - first, b - first]
-            if value != 0.0:
-                for j in range(n):
-                    m[i, j] += value * w[j, b]
-        for j in range(first, i + 1):
-            m[i, j] = 0.0
-            for b in range(first, size):
-                m[i, j] += w[i, b] * phi[j - first, b - first]
+    lower(w, turned, m, size, size)
     for i in range(size):
         for j in range(i + 1):
             m[i, j] += q[i, j]

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -123,6 +123,16 @@ class Race:
     def with_only_rivals(self, others: Sequence[Rival]) -> Race:
         """The same race between these rivals alone, already fitted briefly."""
         return replace(self, runners=_sort_by_worth(others), finals=[])
+
+    def against_model(self, worth: float, always: Collection[str]) -> Race:
+        """The race without those that fell behind a model of this worth after their first steps.
+
+        ``always``: effects that stay in it.
+        """
+        least = _keep_threshold(_KEEP, worth)
+        return self.with_only_rivals(
+            [r for r in self.runners if r.worth >= least or r.label in always]
+        )
 
     def winners(self) -> Iterator[tuple[Rival, list[Rival]]]:
         """Winners in turn, each with the rivals that remained in its final, most likely first.

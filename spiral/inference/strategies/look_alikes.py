@@ -111,7 +111,9 @@ def prefer_special_case(
     others = tuple(dict.fromkeys((*declared, *beside)))
     if not others:
         return passed
-    again = _contest_effects(options, whole.assembly, whole.fit, (held,), others, progress)
+    again = _contest_effects(
+        options, whole.assembly, whole.fit, (held,), others, progress, declared
+    )
     if again is None:
         return passed
     likelier = again.find_likelier(options, whole.settled.comparison, progress)
@@ -194,8 +196,13 @@ class _Contest:
 def _contest_effects(
     options: LikelihoodOptions, assembly: Assembly, model: LikelihoodFit,
     held: tuple[Variant, ...], others: tuple[str, ...], progress: Progress,
+    always: tuple[str, ...] | None = None,
 ) -> _Contest | None:  # fmt: skip
-    """Refit others in the place of effects; nothing where none of them is a candidate."""
+    """Refit others in the place of effects; nothing where none of them is a candidate.
+
+    ``always``: those that are fitted to their end although they fall behind the effects after their
+    first steps; all where it is not given.
+    """
     labels = tuple(v.original.label for v in held)
     there = {v.original.label for v in admitted_variants(assembly, model)}
     known = tuple(
@@ -216,6 +223,7 @@ def _contest_effects(
     finals = twins_at_its_values(offered, base, model, held[0], others_ranked)
     if any(r.rank < 0 for r in ranked.ranked if _is_variant_of(r, held)):
         race = start_race(offered, base, others_ranked, None, progress, options.rivals)
+        race = race.against_model(ours.worth, others if always is None else always)
         finals += [rival for rival, _ in itertools.islice(race.winners(), len(known))]
     elif not finals:
         return None  # from there not even the effect itself would be found

@@ -12,6 +12,7 @@ from spiral.inference.evidence.assembly import Assembly, with_records
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.departures import noise_growth_by_channel
 from spiral.inference.likelihood.fitting import (
+    WARM,
     WORTH,
     LikelihoodFit,
     fit_by_likelihood,
@@ -32,7 +33,8 @@ def fit_with_noise_growth(
     """The study and its fit with noise that grows with its reading; nothing if not likelier.
 
     What a model lacks makes misses grow with the motion too, but leaves them coloured: they must be
-    white with such noise, and no large random force be wanted.
+    white with such noise, and no large random force be wanted. It must be likelier beside the noise
+    that the fit has, too, before all starts are tried with it.
     """
     growth = noise_growth_by_channel(fit.estimate)
     if not growth or any(r.growth for r in assembly.problem.records):
@@ -41,6 +43,9 @@ def fit_with_noise_growth(
     problem = assembly.problem.with_growth(growth)
     other = with_records(assembly, problem.records, assembly.study.series[0].substeps)
     other = replace(other, problem=problem)
+    beside = fit_by_likelihood(other, fit.state, fit.estimate.noise, steps=WARM, rough=True)
+    if not beside.log_likelihood > fit.log_likelihood + WORTH:
+        return None
     begun = replace(fit.state, noise=None, starts=None, spreads=None)
     grown = finish_fit(other, best_fit(other, begun, progress), progress)
     better = grown.log_likelihood > fit.log_likelihood + WORTH
