@@ -30,7 +30,7 @@ DRAWN = """[...document.querySelectorAll('.js-plotly-plot')].every(
 
 TITLE = "Short run-down"
 SHORT = (
-    "experiment=rotor_coastdown", "record.duration=4", "test.duration=4",
+    "experiment=rotor_coastdown", "record.duration=3", "test.duration=3",
     "candidates=[cross_stiffness,cubic_stiffness,gyroscopic,cross_damping,rub,clearance,"
     "coulomb_friction,quadratic_damping]",
 )  # fmt: skip
