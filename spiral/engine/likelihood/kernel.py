@@ -308,7 +308,7 @@ def vary_record(
     scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
     a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
     p[:, :size, :size] = starts
-    links = entries_of(np.abs(phi) + np.sum(np.abs(phis), axis=0))
+    links = entries_of(np.sum(np.abs(phis), axis=0))
     _vary_along(
         values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,
         means, gains, rows, before, seen, r, q, phis, misses, spreads,

@@ -20,13 +20,13 @@ _NOTHING = 1e-280  # a variance, in any unit
 
 
 @nb.njit(cache=True, nogil=True)
-def entries_of(driven):
-    """Rows and columns of the entries of G that are not zero."""
-    entries = np.zeros((driven.size, 2), dtype=np.int64)
+def entries_of(matrix):
+    """Rows and columns of the entries of a matrix (G, Phi) that are not zero."""
+    entries = np.zeros((matrix.size, 2), dtype=np.int64)
     count = 0
-    for i in range(driven.shape[0]):
-        for j in range(driven.shape[1]):
-            if driven[i, j] != 0.0:
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            if matrix[i, j] != 0.0:
                 entries[count, 0], entries[count, 1] = i, j
                 count += 1
     return entries[:count].copy()
@@ -108,7 +108,10 @@ def apply_transition(product, a, phi, links, m, w, n, size):
 
 @nb.njit(**INNER, fastmath=_FAST)
 def turn_noise_rows(phi, links, n, turned):
-    """The columns of F^T that belong to theta and z; those of x are ``transition_rows``'."""
+    """The columns of F^T that belong to theta and z; ``transition_rows`` makes those of x.
+
+    ``links`` as in ``apply_transition``.
+    """
     first = turned.shape[0] - phi.shape[0]
     for i in range(n, first):
         turned[i, i] = 1.0
