@@ -228,18 +228,15 @@ def _announce_local_plugins(options: argparse.Namespace) -> None:
     A folder that does not exist is reported by the verb itself (``spiral new`` creates it).
     """
     from spiral.io.registry import local_sources
+    from spiral.types.formatting import first_words
 
     if options.verb == "report":  # loads no plugins
         return
     with contextlib.suppress(ConfigError):
         files = local_sources(options.plugins)
         if files:
-            listed = ", ".join(map(str, files[:_LISTED]))
-            more = f" and {len(files) - _LISTED} more" if len(files) > _LISTED else ""
-            print(
-                f"spiral: runs local plugins: {listed}{more} (--no-plugins: without)",
-                file=sys.stderr,
-            )
+            listed = first_words([str(f) for f in files], _LISTED)
+            print(f"spiral: runs local plugins: {listed} (--no-plugins: without)", file=sys.stderr)
 
 
 def _json_target(given: list[str]) -> str | None:

@@ -35,7 +35,7 @@ from spiral.inference.nearness import (
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
 from spiral.types.effect import ForceEffect, ParameterEffect
-from spiral.types.formatting import number, percent
+from spiral.types.formatting import first_words, number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.placement import at_every_place
@@ -45,7 +45,6 @@ from spiral.types.system import place_name
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
 
-_NAMED = 4  # look-alikes that a sentence names
 _VERDICTS = {
     "effect_missing": "An effect is missing.",
     "nothing_missing": "Nothing is missing",
@@ -355,9 +354,7 @@ def _look_alikes_clause(rounds: Sequence[Round], label: str, admitted: tuple[str
     alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
     if not alike:
         return ""
-    names = list(alike)[:_NAMED]
-    more = f" and {len(alike) - len(names)} more" if len(alike) > len(names) else ""
-    return f" (or {', '.join(names)}{more}: this record cannot tell them apart)"
+    return f" (or {first_words(list(alike))}: this record cannot tell them apart)"
 
 
 def label_with_place(model: Model, label: str) -> str:

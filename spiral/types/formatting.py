@@ -29,6 +29,12 @@ def join_words(names: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
+def first_words(names: Sequence[str], most: int = 4) -> str:
+    """``a, b``, and where there are more than ``most``, ``a, b and 3 more``."""
+    left = len(names) - most
+    return ", ".join(names[:most]) + (f" and {left} more" if left > 0 else "")
+
+
 def number(value: float | None, digits: int = 4) -> str:
     """A few significant digits, ``-`` where there is no number."""
     return "-" if not _is_finite_number(value) else f"{float(value):.{digits}g}"  # type: ignore[arg-type]

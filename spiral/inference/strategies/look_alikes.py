@@ -42,6 +42,7 @@ from spiral.inference.strategies.admission import AcceptedCandidate, fit_with_ri
 from spiral.inference.strategies.superfluous import admitted_variants
 from spiral.inference.strategies.twins import fit_without, twin_labels, twins_at_its_values
 from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
 from spiral.types.run import Comparison
 
@@ -210,7 +211,7 @@ def _contest_effects(
     )
     if not known:
         return None
-    progress(f"testing again whether {', '.join(labels)} may be {', '.join(others)}")
+    progress(f"testing again whether {', '.join(labels)} may be {first_words(others)}")
     base = fit_without(assembly, model, held)
     offered = offer_effects(assembly, (*known, *(v.original for v in held)))
     ranked = rank_variants(
