@@ -10,7 +10,7 @@ from experiments.hidden_effects.benchmark import Job, main, study
 from experiments.hidden_effects.cases import CASES
 from experiments.hidden_effects.cases import installed as registry_of_chains
 from experiments.hidden_effects.run import outcome
-from experiments.hidden_effects.strengths import SHARES, strengths
+from experiments.hidden_effects.strengths import SHARES, Hidden, strengths
 from experiments.studies.rates import wilson
 from spiral.io.question import USUAL_STRATEGY
 from spiral.physics.trace import trace
@@ -44,6 +44,15 @@ def found_and_enough(case, strategy="shooting"):
     assert found["hit"]
     assert found["before"] > 1.5
     assert found["after"] <= 1.2
+
+
+def test_a_gap_that_windows_found_stays_where_they_found_it():
+    """Refitted from states read off noisy samples it grew beyond the motion: rub took its place."""
+    values = {"stiffness": 1283.0, "gap": 1.1596e-4, "width": 3.865e-6}
+    gap = Hidden("planar_rotor", "clearance", "medium", values, 0.2, 15800.0)
+    row = study(Job(gap, 0.02, 1, "shooting"))
+    assert row is not None
+    assert row["admitted"] == ["clearance"]
 
 
 def test_every_shipped_force_effect_with_a_name_has_a_case():

@@ -124,13 +124,15 @@ def fit_growing_windows(
 ) -> Iterator[Stage]:
     """Fit the model of a fit state on growing windows; ``patient`` as in ``grow_windows``.
 
-    Where ``shortest`` is set, the windows' initial states are fitted first, with all parameters
-    fixed. Freed shapes are fixed on windows shorter than those on which they were freed, where a
-    gap may grow beyond the motion and then acts nowhere.
+    Where ``shortest`` is set or shapes are free, the windows' initial states are fitted first, with
+    all parameters fixed: beside states read off noisy samples a gap may grow beyond the motion,
+    where it acts nowhere and stays. So it may on short windows: freed shapes are fixed on windows
+    shorter than those on which they were freed.
     """
     moving, bounds = columns_with_bounds(assembly, fit_state.keys(assembly))
     sizes = lengths or [n for n in stage_lengths(assembly) if n >= fit_state.shortest]
-    alone = columns_with_bounds(assembly, ()) if fit_state.shortest else None
+    first = fit_state.shortest or fit_state.freed
+    alone = columns_with_bounds(assembly, ()) if first else None
     study, values = assembly.study, fit_state.values
     early = [n for n in sizes[:-1] if n < fit_state.free_from]
     stage: Stage | None = None
