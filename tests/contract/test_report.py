@@ -17,7 +17,7 @@ from spiral.view.report.pictures import find_browser, write_png
 from spiral.view.report.style import scale_to_prefix, thin_curve
 from spiral.view.terminal.shell import quote_word as shell_word
 
-STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=4", "settings.max_rounds=2",
+STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=2.5", "settings.max_rounds=2",
          "candidates=[cross_stiffness,cubic_stiffness,gyroscopic,rub]",
          "tracking.enabled=false")  # fmt: skip
 FIGURES = {
@@ -102,9 +102,9 @@ def test_the_story_says_what_was_found_and_how_to_do_it_again(html, saved):
     result = saved.result
     for effect in (e for r in result["rounds"] for e in r["admitted"]):
         assert effect in text
-    assert "record.duration=4" in text
+    assert "record.duration=2.5" in text
     assert all(r["sha256"] in text for group in saved.data["data"].values() for r in group)
-    assert "is short (4000 samples)" in text
+    assert "is short (2500 samples)" in text
     assert "<math" in text
     assert "The model fails between" in text
 

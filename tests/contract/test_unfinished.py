@@ -50,12 +50,11 @@ def as_json(run):
 def test_a_study_taken_up_ends_as_if_it_had_never_stopped(study, tmp_path):
     _, problem, run, kept = study
     assert [len(c.rounds) for c in kept] == [1, 2, 3, 4]
-    for number in (1, 2):
-        other = CheckpointStore(tmp_path / str(number), REGISTRY)
-        other.write(kept[number])
-        taken_up = other.read_last()
-        assert taken_up is not None
-        assert as_json(discover(problem, resume=taken_up)) == as_json(run)
+    other = CheckpointStore(tmp_path, REGISTRY)
+    other.write(kept[2])
+    taken_up = other.read_last()
+    assert taken_up is not None
+    assert as_json(discover(problem, resume=taken_up)) == as_json(run)
 
 
 def test_only_the_same_study_is_taken_up(study):

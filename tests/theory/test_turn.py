@@ -25,7 +25,7 @@ from spiral.io.curves import FINAL
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError
 
-SHORT = ("experiment=rotor_coastdown", "record.duration=2", "test.duration=2")
+SHORT = ("experiment=rotor_coastdown", "record.duration=1.5", "test.duration=1.5")
 
 
 @pytest.fixture(scope="module", params=["likelihood", "shooting"])
