@@ -129,7 +129,7 @@ def test_a_law_that_a_candidate_explains_as_well_takes_its_name():
     assert law is not None
     assert law.effect.label == "clearance"
     assert "dead_zone_law" in law.aliases
-    found = law.settled.comparison.model.values
+    found = law.refitted.comparison.model.values
     assert found["clearance.gap"] == pytest.approx(0.03, rel=0.02)
 
 

@@ -84,8 +84,8 @@ def rivals_beside_less_noise(
             rivals.append(_refit_rival_noise(base, best, masks, progress))
     if not is_random_force_small(base):
         progress("trying candidates beside sensor noise alone")
-        noise = sensor_noise_only(base)
-        start = fit_by_likelihood(assembly, base.state, noise, masks, WARM, True)
+        sensor_noise = sensor_noise_only(base)
+        start = fit_by_likelihood(assembly, base.state, sensor_noise, masks, WARM, True)
         own = _rivals_from_fit(assembly, base, start, masks)
         rivals += [_with_base_noise_terms(base, r, masks) for r in own]
     return rivals
