@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Peer:
 Function = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def compiled_functions(task: Task) -> tuple[Function, Function]:
+def compiled_functions(task: FilterInput) -> tuple[Function, Function]:
     """f with f_x, and h with h_x, as spiral compiles them."""
     n, m, count = len(task.states), task.series.y.shape[1], len(task.values)
     a, b, f = np.zeros((n, n)), np.zeros((n, count)), np.empty(n)
@@ -45,7 +45,7 @@ def compiled_functions(task: Task) -> tuple[Function, Function]:
     return rate, output
 
 
-def numpy_functions(task: Task) -> tuple[Function, Function]:
+def numpy_functions(task: FilterInput) -> tuple[Function, Function]:
     """The same in NumPy, from the same expressions."""
     import sympy as sp
 
@@ -66,7 +66,7 @@ def numpy_functions(task: Task) -> tuple[Function, Function]:
 
 
 def filterpy_run(
-    task: Task,
+    task: FilterInput,
     settings: FilterSettings,
     samples: int,
     functions: tuple[Function, Function] | None = None,
@@ -92,7 +92,7 @@ def filterpy_run(
 
 
 def runge_kutta(
-    task: Task, x: np.ndarray, sample: int, rate: Function | None = None
+    task: FilterInput, x: np.ndarray, sample: int, rate: Function | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """One sample of RK4 and its Jacobian, in NumPy."""
     rate = rate or compiled_functions(task)[0]

@@ -18,7 +18,7 @@ import numpy as np
 
 from spiral.inference.compare import predict
 from spiral.inference.discover import discover
-from spiral.inference.evidence.judge import FreeRun
+from spiral.inference.evidence.free_run import FreeRun
 from spiral.inference.problem import Problem
 from spiral.io.config import build_problem, compose
 from spiral.io.registry import load_registry

@@ -31,7 +31,7 @@ def main(_: DictConfig) -> float:
     from spiral.io.request import Request
     from spiral.io.tracking.store import tracking_options
     from spiral.io.tracking.track import track
-    from spiral.view.report.page import report_html
+    from spiral.view.report.html import report_html
 
     given = tuple(HydraConfig.get().overrides.task)
     outcome = perform(Request("discover", overrides=given), print)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.inference.problem import Problem, Progress, Settings
-from spiral.io import question
+from spiral.io import problem_setup
 from spiral.io.export.kinds import export as export
 from spiral.io.registry import Registry, load_registry
 from spiral.types.effect import Effect
@@ -271,10 +271,10 @@ def report(run: Run, path: str | Path = "report.html") -> Path:
     """Write the report of a run as one HTML file: figures, tables, caveats; returns its path."""
     from spiral.io.writing import write_whole
     from spiral.view.plot import run_curves, saved_form
-    from spiral.view.report.page import page
+    from spiral.view.report.html import report_page
 
     target = Path(path).expanduser()
-    html, _ = page(saved_form(run), run_curves(run))
+    html, _ = report_page(saved_form(run), run_curves(run))
     write_whole(target, html)
     return target
 
@@ -311,7 +311,7 @@ def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Prob
     test = asked.pop("test", None)
     if "strategy" in asked:
         asked["strategy"] = _plugin("strategy", asked["strategy"], registry)
-    return question.pose_problem(
+    return problem_setup.pose_problem(
         registry, _model(physics, registry, **own), _records(record),
         None if test is None else _records(test), settings=settings, **asked,
     )  # fmt: skip

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from spiral.commands import memory
+from spiral.commands import ram
 from spiral.commands.perform import perform, perform_sweep_job
 from spiral.commands.tracking import log_run_to_mlflow, print_tracking_outcome
 from spiral.io.registry import NO_FOLDER
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _verb_help(options)
         request = _request(options)
         if request.verb not in ("plugins", "new"):
-            memory.check_memory_limit()
+            ram.check_memory_limit()
         if options.verb == "app":
             return _run_app(request, options.port, not options.no_browser, options.token)
         if options.multirun:
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SpiralError as error:
         return _print_error(error, target)
     except MemoryError:
-        return _print_error(memory.out_of_memory_error(), target)
+        return _print_error(ram.out_of_memory_error(), target)
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 130
@@ -294,7 +294,7 @@ def _run_multirun(request: Request, target: str | None) -> int:
     from spiral.io.sweeps.sweep import run_sweep
     from spiral.io.sweeps.tracker import SweepTracker
     from spiral.io.tracking.store import tracking_options
-    from spiral.view.report.page import report_html
+    from spiral.view.report.html import report_html
     from spiral.view.terminal import sweep as screen
 
     registry = load_registry(request.plugins)

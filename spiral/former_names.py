@@ -1,7 +1,7 @@
-"""Module names that plugin files written for version 0.1 import, and where they are now.
+"""Former names of modules, from before the packages ``types/``, ``engine/``, ``io/`` existed.
 
-Files of users keep working: ``from spiral.effect import ForceEffect`` gives the module
-``spiral.types.effect``. New files import from ``spiral`` itself.
+Plugin files of users that import by them keep working: ``from spiral.effect import ForceEffect``
+gives the module ``spiral.types.effect``. New files import from ``spiral`` itself.
 """
 
 from __future__ import annotations
@@ -39,7 +39,13 @@ FORMER = {
 """Former name -> present one, both below ``spiral``; the modules of a package with it."""
 
 
-RENAMED = {"spiral.io.conformance.rehearsal": "spiral.io.conformance.regression"}
+RENAMED = {
+    "spiral.io.conformance.rehearsal": "spiral.io.conformance.regression",
+    "spiral.engine.filter.likelihood": "spiral.engine.filter.innovation_fit",
+    "spiral.io.readers.readers": "spiral.io.readers.formats",
+    "spiral.io.readers.files": "spiral.io.readers.table",
+    "spiral.io.readers.preparation": "spiral.io.readers.rotor_series",
+}
 """Modules below those that have another name of their own now."""
 
 

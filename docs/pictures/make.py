@@ -11,7 +11,7 @@ from playwright.sync_api import sync_playwright
 from spiral.cli import main
 from spiral.io.curves import read_curves
 from spiral.io.storage import load_run
-from spiral.view.report.page import figures, single_figure_page
+from spiral.view.report.html import figures, single_figure_page
 from spiral.view.report.pictures import find_browser, write_png
 
 SHOWN = ("error_falling", "where", "surface")

@@ -32,7 +32,7 @@ from experiments.hidden_effects.strengths import (
 from experiments.hidden_effects.summary import conclude
 from experiments.studies.outcomes import coefficient, named
 from spiral.inference.discover import discover
-from spiral.io.question import USUAL_STRATEGY
+from spiral.io.problem_setup import USUAL_STRATEGY
 from spiral.io.registry import Registry
 from spiral.types.errors import ConfigError
 from spiral.types.run import Run

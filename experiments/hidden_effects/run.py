@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 
 from experiments.hidden_effects.cases import CASES, Case, installed, problem
 from spiral.inference.discover import discover
-from spiral.io.question import USUAL_STRATEGY
+from spiral.io.problem_setup import USUAL_STRATEGY
 
 
 def outcome(case: Case, seed: int, noise: float, strategy: str = USUAL_STRATEGY) -> dict[str, Any]:

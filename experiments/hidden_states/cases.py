@@ -14,7 +14,7 @@ from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.engine.filter.observer import Observer
 from spiral.engine.filter.stochastic import simulate_disturbed
-from spiral.engine.filter.task import Task, prepare_task, with_record
+from spiral.engine.filter.task import FilterInput, prepare_task, with_record
 from spiral.inference.reconstruction.uncertain import declared_prior
 from spiral.inference.simulate import with_defaults
 from spiral.types.model import seed_model
@@ -113,7 +113,7 @@ def _machine(case: Case, seed: int) -> dict[str, float]:
 
 
 @lru_cache(maxsize=2)
-def _base(kind: str) -> Task:
+def _base(kind: str) -> FilterInput:
     """The true model, compiled once for a process."""
     system = TiltingRotor()
     values = {
@@ -124,7 +124,7 @@ def _base(kind: str) -> Task:
     return prepare_task(model, record(Case("first", "first", kind=kind), 0))
 
 
-def task(case: Case, seed: int) -> Task:
+def task(case: Case, seed: int) -> FilterInput:
     """What the observer is given: the model, wrong where asked, and a start from N(truth, P0)."""
     base = _base("soft" if case.kind == "soft" else "coastdown")
     rng = np.random.default_rng([seed, 77])

@@ -12,7 +12,7 @@ from spiral.engine.filter.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
     from spiral.engine.filter.extended import FilterPass, FilterSettings
-    from spiral.engine.filter.task import Task
+    from spiral.engine.filter.task import FilterInput
     from spiral.types.record import Array
 
 
@@ -37,7 +37,7 @@ class Tuned(Observer):
     doubt: Mapping[str, float] | None = None
     spread: float = 1.0
 
-    def reconstruct(self, task: Task) -> Reconstruction:
+    def reconstruct(self, task: FilterInput) -> Reconstruction:
         """Choose the process noise, then run once; more often where parameters are uncertain."""
         from spiral.engine.filter.extended import as_reconstruction
         from spiral.engine.filter.rounding import refine_steps
@@ -68,7 +68,7 @@ class Tuned(Observer):
         return as_reconstruction(task, settings, filter_pass, levels, seconds, tuned - clock)
 
     def _reconstruct_uncertain(
-        self, task: Task, settings: FilterSettings, clock: float
+        self, task: FilterInput, settings: FilterSettings, clock: float
     ) -> Reconstruction:
         """Reconstruct with uncertain parameters: bands hold the spread of their posterior."""
         from spiral.engine.filter.extended import as_reconstruction
@@ -100,7 +100,7 @@ class Tuned(Observer):
         return replace(made, values=averaged.values(prior.keys)) if averaged else made
 
     @abstractmethod
-    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
+    def run(self, task: FilterInput, settings: FilterSettings) -> FilterPass:
         """One run over the record with these numbers."""
 
 
@@ -117,7 +117,7 @@ class Ekf(Tuned):
 
     transition: Literal["exact", "second_order"] = "exact"
 
-    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
+    def run(self, task: FilterInput, settings: FilterSettings) -> FilterPass:
         """Filter the record."""
         from spiral.engine.filter.extended import filter_record
 
@@ -131,7 +131,7 @@ class Rts(Tuned):
     x_s = x - P l, P_s = P - P L P, in the Bryson-Frazier form (``spiral.engine.filter.smoother``).
     """
 
-    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
+    def run(self, task: FilterInput, settings: FilterSettings) -> FilterPass:
         """Filter, then go back from the record's end; innovations stay those of the filter."""
         from spiral.engine.filter.extended import filter_record, smooth_run
 
@@ -154,7 +154,7 @@ class Ukf(Tuned):
     beta: float = 0.0
     kappa: float = 0.0
 
-    def run(self, task: Task, settings: FilterSettings) -> FilterPass:
+    def run(self, task: FilterInput, settings: FilterSettings) -> FilterPass:
         """Filter the record."""
         from spiral.engine.filter.sigma_points import filter_sigma_points
 

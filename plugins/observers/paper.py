@@ -10,7 +10,7 @@ import numpy as np
 from spiral.engine.filter.observer import Observer, Reconstruction
 
 if TYPE_CHECKING:
-    from spiral.engine.filter.task import Task
+    from spiral.engine.filter.task import FilterInput
 
 
 class EkfPaper(Observer):
@@ -29,7 +29,7 @@ class EkfPaper(Observer):
 
     q0: float = 1e-3
 
-    def reconstruct(self, task: Task) -> Reconstruction:
+    def reconstruct(self, task: FilterInput) -> Reconstruction:
         """Filter the record with the paper's numbers."""
         from spiral.engine.filter.extended import FilterSettings, as_reconstruction, filter_record
 

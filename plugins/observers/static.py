@@ -11,7 +11,7 @@ from spiral.engine.filter.observer import Observer, Reconstruction
 from spiral.types.errors import ConfigError
 
 if TYPE_CHECKING:
-    from spiral.engine.filter.task import Task
+    from spiral.engine.filter.task import FilterInput
 
 
 class Static(Observer):
@@ -21,7 +21,7 @@ class Static(Observer):
     sent through the map; rates are not given. The baseline of every other observer.
     """
 
-    def reconstruct(self, task: Task) -> Reconstruction:
+    def reconstruct(self, task: FilterInput) -> Reconstruction:
         """Send every sample through the map.
 
         Raises

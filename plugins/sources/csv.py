@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from spiral.io.readers.columns import Columns
-from spiral.io.readers.files import Table
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.formats import read_table
+from spiral.io.readers.table import Table
 
 
 class Csv(Columns):
@@ -12,6 +12,8 @@ class Csv(Columns):
 
     The way columns and fractions are written, lines above the names and a row of units under them
     are found. Parquet files are read as well.
+
+    ``spiral.read`` uses the source ``file`` instead, which detects the format by content.
     """
 
     def read(self, path: str) -> Table:

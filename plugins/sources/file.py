@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from spiral.io.readers.columns import Columns
-from spiral.io.readers.files import Table
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.formats import read_table
+from spiral.io.readers.table import Table
 
 
 class File(Columns):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from spiral.io.readers.files import Table
+from spiral.io.readers.formats import read_table
 from spiral.io.readers.pulses import smooth_phase
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.table import Table
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.record import Record, make_record
 from spiral.types.source import Source

@@ -1,4 +1,4 @@
-"""Evidence from the likelihood of whole records."""
+"""Options of ``strategy=likelihood``, the default: the likelihood of one-step predictions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from spiral.inference.evidence.assembly import Assembly
     from spiral.inference.evidence.fit_state import FitState
     from spiral.inference.problem import Problem, Progress
-    from spiral.inference.strategies.likelihood import ScoredRound
+    from spiral.inference.strategies.likelihood.propose import ScoredRound
     from spiral.types.run import Comparison, Suggestion
 
 
@@ -38,7 +38,7 @@ class Likelihood(LikelihoodOptions, Strategy):
 
     def begin(self, problem: Problem, progress: Progress) -> StartedStudy:
         """The model as it is, most likely with the noise that its record wants."""
-        from spiral.inference.strategies.beginning import begin_study
+        from spiral.inference.strategies.likelihood.begin_study import begin_study
 
         return begin_study(problem, progress)
 
@@ -51,7 +51,7 @@ class Likelihood(LikelihoodOptions, Strategy):
         progress: Progress,
     ) -> Step[ScoredRound]:
         """The candidate that makes the record most likely, if it passes on other blocks."""
-        from spiral.inference.strategies.likelihood import propose
+        from spiral.inference.strategies.likelihood.propose import propose
 
         return propose(self, assembly, fit_state, comparison, number, progress)
 
@@ -59,13 +59,13 @@ class Likelihood(LikelihoodOptions, Strategy):
         self, assembly: Assembly, step: Step[ScoredRound], progress: Progress
     ) -> RefittedModel:
         """The refit and comparison that were made when the effect was proposed."""
-        from spiral.inference.strategies.likelihood import settle
+        from spiral.inference.strategies.likelihood.propose import settle
 
         return settle(step)
 
     def ranked(self, step: Step[ScoredRound]) -> tuple[Suggestion, ...]:
         """All candidates by what they are worth."""
-        from spiral.inference.strategies.likelihood import suggestions_by_worth
+        from spiral.inference.strategies.likelihood.propose import suggestions_by_worth
 
         return suggestions_by_worth(step)
 
@@ -73,7 +73,7 @@ class Likelihood(LikelihoodOptions, Strategy):
         self, assembly: Assembly, fit_state: FitState, step: Step[ScoredRound], label: str
     ) -> Step[ScoredRound]:
         """Another candidate in place of the proposal; no gate is asked."""
-        from spiral.inference.strategies.likelihood import choose
+        from spiral.inference.strategies.likelihood.propose import choose
 
         return choose(self, assembly, fit_state, step, label)
 
@@ -83,7 +83,7 @@ class Likelihood(LikelihoodOptions, Strategy):
         progress: Progress,
     ) -> RemainingLookAlikes:  # fmt: skip
         """Earlier look-alikes beside the final model's values and noise."""
-        from spiral.inference.strategies.likelihood import ask_again
+        from spiral.inference.strategies.likelihood.propose import ask_again
 
         return ask_again(self, assembly, fit_state, comparison, aliases, promising, progress)
 
@@ -91,6 +91,6 @@ class Likelihood(LikelihoodOptions, Strategy):
         self, assembly: Assembly, fit_state: FitState, label: str, progress: Progress
     ) -> RefittedModel:
         """An effect by its name, with the shapes that the record prefers."""
-        from spiral.inference.strategies.likelihood import admit
+        from spiral.inference.strategies.likelihood.propose import admit
 
         return admit(assembly, fit_state, label, progress)

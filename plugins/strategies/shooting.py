@@ -35,7 +35,7 @@ class Shooting(ShootingOptions, Strategy):
 
     def begin(self, problem: Problem, progress: Progress) -> StartedStudy:
         """The seed fitted on growing windows of the half that judges."""
-        from spiral.inference.strategies.shooting import begin
+        from spiral.inference.strategies.shooting.propose import begin
 
         return begin(problem, progress)
 
@@ -48,19 +48,19 @@ class Shooting(ShootingOptions, Strategy):
         progress: Progress,
     ) -> Step[Proposal]:
         """The candidate that one half of the blocks selects and the other half confirms."""
-        from spiral.inference.strategies.shooting import propose_candidate
+        from spiral.inference.strategies.shooting.propose import propose_candidate
 
         return propose_candidate(self, assembly, fit_state, comparison, number, progress)
 
     def settle(self, assembly: Assembly, step: Step[Proposal], progress: Progress) -> RefittedModel:
         """Refitted on the half that did not select; effects made superfluous are dropped."""
-        from spiral.inference.strategies.shooting import settle
+        from spiral.inference.strategies.shooting.propose import settle
 
         return settle(assembly, step, progress)
 
     def ranked(self, step: Step[Proposal]) -> tuple[Suggestion, ...]:
         """All candidates by their evidence on the same windows."""
-        from spiral.inference.strategies.shooting import ranked_suggestions
+        from spiral.inference.strategies.shooting.propose import ranked_suggestions
 
         return ranked_suggestions(step)
 
@@ -68,7 +68,7 @@ class Shooting(ShootingOptions, Strategy):
         self, assembly: Assembly, fit_state: FitState, step: Step[Proposal], label: str
     ) -> Step[Proposal]:
         """Another candidate at the windows on which all were scored; no gate is asked."""
-        from spiral.inference.strategies.shooting import choose
+        from spiral.inference.strategies.shooting.propose import choose
 
         return choose(assembly, fit_state, step, label)
 
@@ -82,7 +82,7 @@ class Shooting(ShootingOptions, Strategy):
         self, problem: Problem, effects: tuple[Effect, ...], progress: Progress
     ) -> AddedEffects:
         """Before and after, each fitted to all samples."""
-        from spiral.inference.strategies.shooting import fit_before_and_after
+        from spiral.inference.strategies.shooting.propose import fit_before_and_after
 
         return fit_before_and_after(problem, effects, progress)
 

@@ -127,10 +127,10 @@ def _saved_turn(session: Session, ident: str, serial: int) -> StudyState:
 def _report_page(session: Session, turn: StudyState) -> str:
     from spiral.io.curves import read_curves
     from spiral.io.storage import load_run
-    from spiral.view.report.page import page
+    from spiral.view.report.html import report_page
 
     saved = load_run(turn.run_id, session.out)
-    return page(saved.data, read_curves(saved.file.parent))[0]
+    return report_page(saved.data, read_curves(saved.file.parent))[0]
 
 
 def _saved_model(session: Session, turn: StudyState) -> Any:

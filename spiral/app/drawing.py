@@ -30,7 +30,7 @@ def write_turn_figures(
 
     ``alone`` are the curves of this turn's model; ``both`` with those of the first beside them.
     """
-    from spiral.view.report.page import figures
+    from spiral.view.report.html import figures
 
     folder.mkdir(parents=True, exist_ok=True)
     graph = asdict(couplings_of(at.rounds[-1].comparison.model))

@@ -94,7 +94,7 @@ class Figures:
 def dense_traces(folder: Path, name: str, looked_at: Span | None) -> list[Any]:
     """x and y of every trace of a figure of a series, dense between two moments."""
     from spiral.io.curves import read_curves
-    from spiral.view.report.page import zoomed_figure
+    from spiral.view.report.html import zoomed_figure
 
     try:
         curves = read_curves(folder)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spiral.io.readers.files import Table
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.formats import read_table
+from spiral.io.readers.table import Table
 from spiral.io.writing import replace_nonfinite, write_whole
 from spiral.types.errors import InputError
 from spiral.types.label import split_key

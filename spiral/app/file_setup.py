@@ -13,8 +13,8 @@ from typing import Any
 from spiral.app import record_setup as setups
 from spiral.app.processes import Event
 from spiral.app.record_setup import Choice, RecordSetup
-from spiral.io.readers.files import find_file
 from spiral.io.readers.limits import memory_limit, time_limit
+from spiral.io.readers.table import find_file
 from spiral.io.writing import write_whole
 from spiral.types.errors import ConfigError
 

@@ -9,7 +9,7 @@ from typing import Any
 from spiral.app.study import Study
 from spiral.inference.problem import Settings
 from spiral.io.config import GROUPS, Config, Options, defaults_of
-from spiral.io.question import USUAL_STRATEGY
+from spiral.io.problem_setup import USUAL_STRATEGY
 from spiral.io.registry import Registry
 
 _CHOICES = ("candidates", "without", "values", "free", "fixed", "holdout", "holdout_blocks")

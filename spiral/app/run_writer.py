@@ -111,7 +111,7 @@ class RunWriter:
         """
         from spiral.io.tracking.store import tracking_options
         from spiral.io.tracking.track import track
-        from spiral.view.report.page import report_html
+        from spiral.view.report.html import report_html
 
         assert self.config is not None
         tracking = track(replace(tracking_options(self.config), uri=None), self.out, (run_id,),

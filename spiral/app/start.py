@@ -11,7 +11,7 @@ from nicegui import ui
 from spiral.app import frame, panels, studies, tour
 from spiral.app.drop_zone import drop_script, drop_zone
 from spiral.app.session import Session
-from spiral.io.readers.files import find_file
+from spiral.io.readers.table import find_file
 from spiral.types.errors import InputError, SpiralError
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from spiral.commands.memory import out_of_memory_error
+from spiral.commands.ram import out_of_memory_error
 from spiral.io.request import BAD_INPUT, Outcome, Request, compose_request
 from spiral.types.errors import ConfigError, SpiralError
 

@@ -67,7 +67,7 @@ def report(request: Request, tell: Tell) -> Outcome:
     from spiral.io.overrides import parse_overrides
     from spiral.io.storage import load_run
     from spiral.io.writing import write_whole
-    from spiral.view.report.page import page
+    from spiral.view.report.html import report_page
 
     given = {".".join(i.path): i.value for i in parse_overrides(request.overrides)}
     for key in (*given, *request.names):
@@ -78,7 +78,7 @@ def report(request: Request, tell: Tell) -> Outcome:
             )  # fmt: skip
     saved = load_run(str(given.get("run") or "latest"), str(given.get("out") or "runs"))
     tell("drawing")
-    html, names = page(saved.data, read_curves(saved.file.parent))
+    html, names = report_page(saved.data, read_curves(saved.file.parent))
     target = Path(request.out).expanduser() if request.out else saved.file.with_name(PAGE)
     try:
         write_whole(target, html)

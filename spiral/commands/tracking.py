@@ -42,7 +42,7 @@ def log_run_to_mlflow(outcome: Outcome) -> TrackingResult | None:
 
 def _log_in_foreground(outcome: Outcome, tracking: Tracking) -> TrackingResult:
     from spiral.io.tracking.track import track
-    from spiral.view.report.page import report_html
+    from spiral.view.report.html import report_html
     from spiral.view.terminal.parts import progress_line
 
     config = outcome.parts["config"]
@@ -69,7 +69,7 @@ def print_tracking_outcome(tracked: TrackingResult | None, target: str | None) -
 def main() -> None:
     """Log the run that the order on standard input names."""
     from spiral.io.tracking.background import LogRequest, execute_order
-    from spiral.view.report.page import report_html
+    from spiral.view.report.html import report_html
 
     execute_order(LogRequest(**json.load(sys.stdin)), report_html)
 

@@ -47,10 +47,11 @@ class Series:
     """Arrays of one record.
 
     ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` ((samples - 1) * 2 * substeps + 1,
-    input columns) on the half-step grid of the integrator, ``dt`` in s; ``held`` are columns whose
-    value stays from one sample to the next. ``seen`` (samples, channels) is False where a reading
-    is no measurement (``y`` is bridged there), or nothing where all are; ``growth`` by channel is
-    (centre, height, mean) of a noise variance that grows with the reading (``grown``).
+    input columns) on the half-step grid of the integrator, ``dt`` in s; ``zero_order`` are
+    columns whose value stays from one sample to the next. ``seen`` (samples, channels) is False
+    where a reading is no measurement (``y`` is bridged there), or nothing where all are; ``growth``
+    by channel is (centre, height, mean) of a noise variance that grows with the reading
+    (``grown``).
     """
 
     record: Record
@@ -60,7 +61,7 @@ class Series:
     dt: float
     substeps: int
     splines: Splines
-    held: tuple[int, ...] = ()
+    zero_order: tuple[int, ...] = ()
     seen: Array | None = None
     growth: tuple[tuple[float, float, float] | None, ...] = ()
 
@@ -114,7 +115,7 @@ class Series:
     def _stage_inputs(self, grid: Array) -> Array:
         stages = np.empty((3 * (len(grid) // 2), grid.shape[1]))
         stages[0::3], stages[1::3], stages[2::3] = grid[:-1:2], grid[1::2], grid[2::2]
-        for column in self.held:
+        for column in self.zero_order:
             stages[0::3, column] = stages[2::3, column] = grid[1::2, column]
         return stages
 
@@ -174,7 +175,9 @@ def _build_series(system: System, record: Record, substeps: int, knot: float) ->
         dt=record.dt,
         substeps=substeps,
         splines=correction_splines(record, substeps, knot if wanted else 0.0),
-        held=tuple(k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"),
+        zero_order=tuple(
+            k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"
+        ),
         seen=measured_mask(record, system.observed),
         growth=tuple(record.growth.get(c) for c in system.observed),
     )

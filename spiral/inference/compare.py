@@ -11,7 +11,7 @@ from spiral.inference.evidence.comparison import (
     prepare_study,
 )
 from spiral.inference.evidence.fit_state import FitState, all_samples
-from spiral.inference.evidence.judge import FreeRun
+from spiral.inference.evidence.free_run import FreeRun
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import strategy_for
 from spiral.types.model import Model

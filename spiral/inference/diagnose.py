@@ -19,14 +19,14 @@ from spiral.inference.evidence.comparison import (
 )
 from spiral.inference.evidence.enlarge import transfer_fit_state
 from spiral.inference.evidence.fit_state import FitState, all_samples, half_masks
-from spiral.inference.evidence.judge import fit_whole_records
+from spiral.inference.evidence.free_run import fit_whole_records
 from spiral.inference.identifiability.parameters import find_entanglement
 from spiral.inference.likelihood.fitting import apply_integration_settings
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.rounds import strategy_for
 from spiral.inference.strategies.base import Strategy
-from spiral.inference.strategies.resonances import propose_with_own_states
-from spiral.inference.strategies.shooting import find_unknown_curve
+from spiral.inference.strategies.shooting.propose import find_unknown_curve
+from spiral.inference.strategies.shooting.resonances import propose_with_own_states
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose_on_windows
 from spiral.inference.verdict import seed_sentence, seed_verdict, verdict_sentence

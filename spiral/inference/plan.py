@@ -25,7 +25,7 @@ from spiral.inference.evidence.assembly import (
 )
 from spiral.inference.evidence.comparison import last_stage, prepare_study, refine_substeps
 from spiral.inference.evidence.fit_state import FitState, all_samples
-from spiral.inference.evidence.judge import fit_whole_records
+from spiral.inference.evidence.free_run import fit_whole_records
 from spiral.inference.identifiability.information import (
     Distinguishability,
     RecordInformation,

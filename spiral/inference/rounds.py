@@ -155,6 +155,8 @@ def admit_step(
 ) -> Checkpoint:
     """The study after one more round: the step's effects admitted, refitted and compared.
 
+    ``strategy=likelihood`` has refitted already in ``propose`` and only hands the result over here.
+
     ``spent`` : seconds that finding them has taken.
     """
     clock = time.perf_counter()

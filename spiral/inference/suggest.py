@@ -14,7 +14,7 @@ from spiral.engine.statistics import PairedDifference, paired_errors, round_leve
 from spiral.inference.evidence.admission import AdmittedEffect, admit_candidate
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks, fit_growing_windows
-from spiral.inference.evidence.judge import fit_held_out
+from spiral.inference.evidence.free_run import fit_held_out
 from spiral.inference.evidence.refit_scores import rescore_from_far_starts
 from spiral.inference.evidence.scoring import Evidence, RankedCandidate, Ranking, score_stage
 from spiral.inference.problem import Progress, Settings, silent

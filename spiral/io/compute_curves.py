@@ -1,4 +1,8 @@
-"""Computes the curves of compared models that ``spiral.io.curves`` saves for the report."""
+"""Computes the series of the figures.
+
+The union of the compared models is compiled, and initial states and phases are fitted again (not
+the parameters). ``spiral.io.curves`` saves the series for the report.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,7 @@ from spiral.inference.evidence.assembly import (
 )
 from spiral.inference.evidence.comparison import free_run_on_test, refine_substeps
 from spiral.inference.evidence.fit_state import FitState
-from spiral.inference.evidence.judge import fit_whole_records, free_run_from_stage
+from spiral.inference.evidence.free_run import fit_whole_records, free_run_from_stage
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.where.latent import LatentForce, add_latent_force, smoothed_states
 from spiral.inference.where.regions import WorstRecord, locate_failure, worst_record_failure
@@ -233,6 +237,11 @@ def _mode_curves(kept: dict[str, Array], assembly: Assembly, stage: Stage) -> di
 
 
 def _record_curves(kept: dict[str, Array], problem: Problem) -> list[dict[str, Any]]:
+    """Channels and inputs of the records.
+
+    The measured curve is the raw channel: it shows what the sensor gave also where a reading is no
+    measurement and is bridged for the fit.
+    """
     system = problem.model.system
     chosen = [("fit", r) for r in problem.records[:_RECORDS]]
     chosen += [("test", r) for r in problem.test[:_RECORDS]]

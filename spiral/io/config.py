@@ -14,7 +14,7 @@ from typing import Any
 
 from spiral.inference.plan_options import PlanOptions
 from spiral.inference.problem import Problem, Settings
-from spiral.io import custom, question, strategy_config
+from spiral.io import custom, problem_setup, strategy_config
 from spiral.io.overrides import Assignment, parse_overrides, set_value
 from spiral.io.registry import Registry
 from spiral.io.strategy_config import build_strategy, gate_fields
@@ -127,7 +127,7 @@ def top_level_options(config: Config) -> Options:
     """The top-level values, checked."""
     given = {k: config[k] for k in field_names(Options) if k in config}
     checked = construct(Options, given, "")
-    question.check_holdout(checked.holdout, checked.holdout_blocks)
+    problem_setup.check_holdout(checked.holdout, checked.holdout_blocks)
     return checked
 
 
@@ -224,7 +224,7 @@ def build_problem(config: Config, registry: Registry) -> Problem:
     record, test_source = build_sources(config, registry)
     records = record.load(model.system)
     test = None if test_source is None else test_source.load(model.system)
-    return question.pose_problem(
+    return problem_setup.pose_problem(
         custom.registry_for_config(config, registry), model, records, test,
         holdout=chosen.holdout, holdout_blocks=chosen.holdout_blocks,
         settle=config["test"].get("settle"), candidates=chosen.candidates,

@@ -130,7 +130,7 @@ def _nodes_of_channel(
     system: System, traced: TracedModel, channel: str, known: Sequence[str]
 ) -> tuple[str, ...]:
     """The nodes that a channel is, or that a reading is made of."""
-    told = [state for name, state, _ in traced.told if name == channel]
+    told = [state for name, state, _ in traced.reading_states if name == channel]
     return _nodes_of_states(system, told or [channel], known)
 
 

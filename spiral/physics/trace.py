@@ -59,7 +59,7 @@ class TracedModel:
     like: tuple[tuple[str, str], ...] = ()
     rates: tuple[tuple[str, str], ...] = ()
     """Coordinates of the system whose rates have a name of their own, and that name."""
-    told: tuple[tuple[str, str, bool], ...] = ()
+    reading_states: tuple[tuple[str, str, bool], ...] = ()
     """Of readings that are no state: channel, state, whether it is just that state's rate."""
 
     @cached_property
@@ -68,14 +68,14 @@ class TracedModel:
         return {c: j for j, c in enumerate(self.channels) if c in self.states}
 
     @cached_property
-    def told_of(self) -> frozenset[str]:
+    def measured_or_read(self) -> frozenset[str]:
         """States that are measured as they are, or that enter a reading that is no state."""
-        return frozenset((*self.shown, *(state for _, state, _ in self.told)))
+        return frozenset((*self.shown, *(state for _, state, _ in self.reading_states)))
 
     @cached_property
     def accelerated(self) -> dict[str, int]:
         """Unmeasured coordinates whose acceleration is measured, and the number of its channel."""
-        plain = {state: channel for channel, state, is_rate in self.told if is_rate}
+        plain = {state: channel for channel, state, is_rate in self.reading_states if is_rate}
         names = {n: plain.get(self.rate_name(n)) for n in self.states if n not in self.shown}
         return {n: self.channels.index(c) for n, c in names.items() if c is not None}
 
@@ -163,7 +163,7 @@ def trace(
     seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
     injected = _sum_injections(system, placed, seen, x)
     rates = _system_rates(system, x, u, p, injected)
-    shown, told = own_readings(system, x, rates, u, p)
+    shown, read = own_readings(system, x, rates, u, p)
     placed = [_with_sensor_motion(item, shown, rates, states) for item in placed]
     for item, view in zip(placed, seen, strict=True):
         rates.update(_own_rates(item, view))
@@ -184,7 +184,7 @@ def trace(
         forces=forces,
         like=(*_declared_likeness(system), *states_like_port(system, effects)),
         rates=_rate_names(system),
-        told=told,
+        reading_states=read,
     )
 
 

@@ -47,8 +47,8 @@ class Parameter:
     search : each value of a grid of frequencies moves, by at most this share of it, to the
         strongest spectral line of the records' channels.
     spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
-        the peaks of the residual's spectrum (``spiral.inference.strategies.resonances``), in s as
-        1 / (2 pi f).
+        the peaks of the residual's spectrum (``spiral.inference.strategies.shooting.resonances``),
+        in s as 1 / (2 pi f).
     """
 
     name: str

@@ -56,23 +56,35 @@ class Traces:
 class Comparison(Readable):
     """A fitted model compared with the records of its fit, and with test records.
 
-    ``fit_error`` and ``test_error`` are relative free-run errors, mean over channels;
-    ``chi2_per_dof`` and ``whiteness_p`` are of the fitted records at window length ``horizon``;
-    ``noise_floor`` is the test error that a perfect model would have; ``noise_ratio`` the noise
-    that the fitted records show without a model (high-order differences) over what they declare,
-    rms over channels, and nothing where they declare none; ``unseen`` are errors on the test
-    records at several horizons (``inference.evidence.horizons``), none without a test.
-    ``innovation_chi2`` is the mean squared whitened innovation, where a filter's likelihood is the
-    evidence: process noise then explains what a free run misses. ``random`` names random forces
-    and sensor noise beyond white noise (``engine.likelihood.noise``) with their sizes: of a
-    force its share of the rate that it acts on, of a reading its share of the channel's deviation;
-    nothing where no such model was fitted; ``random_times`` its correlation time in s, where it has
-    one; ``spoilt`` says in words which readings are no measurement, ``departures`` what neither the
-    model nor its noise can hold (a parameter that drifts, noise that grows with its reading);
-    ``disturbed`` and ``uncertain`` are the errors of the test's free run to be expected from random
-    forces, and from the uncertainty of parameters and initial state; ``between`` says how inputs
-    are interpolated; ``followed`` is the share of a coloured residual that motion and inputs
-    explain. ``traces`` are not saved.
+    Fields
+    ------
+    model : the model with its fitted values.
+    fit_error, test_error : relative free-run errors, mean over channels.
+    channels : the test's free-run error by channel.
+    noise_floor : the test error that a perfect model would have.
+    chi2_per_dof, whiteness_p : of the fitted records, at window length ``horizon``.
+    whiteness_effect : summed squared autocorrelation of their residual, less that of white noise.
+    horizon : length of those windows, samples.
+    converged : whether the fit converged.
+    notes : what to know of this comparison, in words.
+    noise_ratio : noise that the fitted records show without a model (high-order differences) over
+        what they declare, rms over channels; nothing where they declare none.
+    innovation_chi2 : mean squared whitened innovation, where a filter's likelihood is the evidence:
+        process noise then explains what a free run misses.
+    unseen : errors on the test records at several horizons (``inference.evidence.horizons``), none
+        without a test.
+    random : random forces, and sensor noise beyond white noise (``engine.likelihood.noise``), by
+        name: of a force its share of the rate that it acts on, of a reading its share of the
+        channel's deviation; nothing where no such model was fitted.
+    random_times : their correlation times in s, where they have one.
+    spoilt : which readings are no measurement, in words.
+    departures : what neither the model nor its noise can hold, in words: a parameter that drifts,
+        noise that grows with its reading.
+    disturbed : error of the test's free run to be expected from random forces.
+    uncertain : the same from the uncertainty of parameters and initial state.
+    followed : share of a coloured residual that motion and inputs explain.
+    between : how inputs are interpolated.
+    traces : the time series behind it; not saved.
     """
 
     model: Model

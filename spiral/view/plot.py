@@ -73,7 +73,10 @@ def sketch(of: Run | Model) -> Drawing:
 
 
 def measured(run: Run) -> go.Figure | None:
-    """Measured against model: the final model's free run beside the test record."""
+    """Measured against model: the final model's free run beside the test record.
+
+    The measured curve is the record's raw channel, with the readings that the fit leaves out too.
+    """
     return figures(run).get("free_run") or figures(run).get("before")
 
 
@@ -83,7 +86,7 @@ def figures(run: Run) -> dict[str, go.Figure]:
     Those of series need the records: a run made by ``spiral.discover`` or ``spiral.add``. They are
     computed once for a run.
     """
-    from spiral.view.report.page import figures as drawn
+    from spiral.view.report.html import figures as drawn
 
     return {shown.name: shown.figure for shown in drawn(saved_form(run), run_curves(run))}
 

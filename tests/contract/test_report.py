@@ -149,15 +149,15 @@ def test_it_needs_nothing_but_the_saved_run(place, tmp_path, monkeypatch, saved)
     """Neither the record nor the plugins: the folder of one run, anywhere."""
     import shutil
 
-    from spiral.view.report.page import page
+    from spiral.view.report.html import report_page
 
     shutil.copytree(saved.file.parent, tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path)
     other = read_run(tmp_path / "elsewhere" / "run.json")
-    names = page(other.data, read_curves(tmp_path / "elsewhere"))[1]
+    names = report_page(other.data, read_curves(tmp_path / "elsewhere"))[1]
     assert set(names) == FIGURES
     (tmp_path / "elsewhere" / FILE).unlink()
-    html, names = page(other.data, read_curves(tmp_path / "elsewhere"))
+    html, names = report_page(other.data, read_curves(tmp_path / "elsewhere"))
     assert set(names) == {"error_falling", "evidence", "coefficients"}
     assert "kept no curves" in html
 

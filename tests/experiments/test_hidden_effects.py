@@ -12,7 +12,7 @@ from experiments.hidden_effects.cases import installed as registry_of_chains
 from experiments.hidden_effects.run import outcome
 from experiments.hidden_effects.strengths import SHARES, Hidden, strengths
 from experiments.studies.rates import wilson
-from spiral.io.question import USUAL_STRATEGY
+from spiral.io.problem_setup import USUAL_STRATEGY
 from spiral.physics.trace import trace
 from spiral.types.effect import ForceEffect
 from tests.marks import others_slow

@@ -15,7 +15,7 @@ import pytest
 import scipy.io
 
 from spiral.io.readers import containers, matlab
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.formats import read_table
 from spiral.types.errors import InputError
 from tests.safety.conftest import flood
 
@@ -117,7 +117,7 @@ def test_a_small_npz_that_unpacks_to_much_is_refused_before(tmp_path):
     flood(file, 75_000_000)
     code = (
         "import re, sys; from spiral.io.readers import containers\n"
-        "from spiral.io.readers.readers import read_table\n"
+        "from spiral.io.readers.formats import read_table\n"
         "containers.UNPACKED = 10**8\n"
         "from spiral.types.errors import InputError\n"
         "try: read_table(sys.argv[1])\n"

@@ -12,9 +12,9 @@ import pytest
 import scipy.io
 
 from spiral.io.readers import containers
+from spiral.io.readers.formats import read_table
 from spiral.io.readers.limits import within_seconds
 from spiral.io.readers.matrices import read_matrices
-from spiral.io.readers.readers import read_table
 from spiral.types.errors import InputError, SpiralError
 from tests.safety.conftest import flood
 

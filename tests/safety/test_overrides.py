@@ -6,7 +6,7 @@ import pytest
 
 from spiral.io.config import compose
 from spiral.io.overrides import parse_overrides
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.formats import read_table
 from spiral.io.registry import load_registry
 from spiral.types.errors import SpiralError
 

@@ -20,8 +20,8 @@ from spiral.io.storage import run_folder, save_result
 from spiral.io.tracking.track import TrackingResult
 from spiral.types.errors import ConfigError, InputError
 from spiral.view.report import evidence, text
+from spiral.view.report.html import ReportFigure, single_figure_page
 from spiral.view.report.markup import safe_mathml
-from spiral.view.report.page import ReportFigure, single_figure_page
 from tests.exported import REGISTRY, machine_of
 from tests.unit.test_session import Idle
 

@@ -12,7 +12,10 @@ from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task, with_start_spread
 from spiral.engine.likelihood.noise import first_noise
 from spiral.engine.likelihood.predict import log_likelihood, predict_readings
-from spiral.inference.likelihood.beginnings import likely_initial_state, set_likely_initial_state
+from spiral.inference.likelihood.initial_states import (
+    likely_initial_state,
+    set_likely_initial_state,
+)
 from spiral.types.record import make_record
 
 DT, COUNT, NOISE = 0.02, 200, 0.02

@@ -13,7 +13,7 @@ from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants
 from spiral.inference.likelihood.candidates import second_basin_candidates
 from spiral.inference.problem import Problem, silent
 from spiral.inference.simulate import simulate
-from spiral.inference.strategies.admission import _drop_unused_variants, offer_effects
+from spiral.inference.strategies.likelihood.admission import _drop_unused_variants, offer_effects
 from spiral.physics.learned import LEVELS, basis
 from spiral.types.model import seed_model
 from spiral.types.record import make_record

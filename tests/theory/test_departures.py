@@ -111,7 +111,7 @@ def test_noise_that_grows_from_zero_is_told_of_a_reading_that_is_never_negative(
     series = SimpleNamespace(y=reading[:, None] + misses)
     compiled = SimpleNamespace(traced=SimpleNamespace(channels=("c",)))
     task = SimpleNamespace(series=series, compiled=compiled)
-    (told,) = shapes_told(SimpleNamespace(prepared=((task, None),), parts=(part,)))
+    (told,) = shapes_told(SimpleNamespace(prepared=((task, None),), predictions=(part,)))
     assert told.startswith("the noise of sensor c grows with its reading, ")
     assert float(told.partition(", ")[2].split("-")[0]) == pytest.approx(3.0, abs=0.3)
 

@@ -13,7 +13,7 @@ from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.fitting import fit_by_likelihood, is_random_force_small
 from spiral.inference.likelihood.free_fit import FREE_RUN_VALUES_NOTE, refit_by_free_run
 from spiral.inference.problem import silent
-from spiral.io.question import pose_problem
+from spiral.io.problem_setup import pose_problem
 from spiral.io.registry import load_registry
 from spiral.types.model import seed_model
 from tests.swept_oscillator import TRUTH, record_of, shaken

@@ -12,7 +12,7 @@ from spiral_plugins.gates.joint import ValidationRollback
 from spiral_plugins.strategies.innovation import Innovation as ByInnovations
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.engine.filter.likelihood import climb_likelihood
+from spiral.engine.filter.innovation_fit import climb_likelihood
 from spiral.engine.filter.setup import prepare_filter, with_level
 from spiral.engine.filter.stochastic import simulate_disturbed
 from spiral.engine.filter.task import prepare_task, with_record

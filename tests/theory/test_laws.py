@@ -14,8 +14,8 @@ from experiments.laws.truth import CASES, draw, motion
 from spiral.inference.evidence.fit_state import half_masks
 from spiral.inference.likelihood.fitting import WARM, fit_by_likelihood
 from spiral.inference.problem import silent
-from spiral.inference.strategies.laws import find_named_law
-from spiral.io.question import pose_problem
+from spiral.inference.strategies.likelihood.laws import find_named_law
+from spiral.io.problem_setup import pose_problem
 from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_effect, failed
 from spiral.physics.formulas.laws import FLOWS, FRICTIONS, SPRINGS, laws_of
@@ -129,7 +129,7 @@ def test_a_law_that_a_candidate_explains_as_well_takes_its_name():
     assert law is not None
     assert law.effect.label == "clearance"
     assert "dead_zone_law" in law.aliases
-    found = law.settled.comparison.model.values
+    found = law.refitted.comparison.model.values
     assert found["clearance.gap"] == pytest.approx(0.03, rel=0.02)
 
 

@@ -25,7 +25,7 @@ from spiral.inference.likelihood import candidates
 from spiral.inference.likelihood.fitting import fit_by_likelihood
 from spiral.inference.likelihood.scores import predicted_motion, rank_candidates
 from spiral.inference.problem import silent
-from spiral.io.question import pose_problem
+from spiral.io.problem_setup import pose_problem
 from spiral.io.registry import load_registry
 from spiral.physics.signatures import SystemMotion, signatures
 from spiral.types.model import seed_model

@@ -8,7 +8,7 @@ import pytest
 
 import spiral
 from spiral.engine import series
-from spiral.inference.likelihood import free_starts
+from spiral.inference.likelihood import free_run_starts
 from spiral.physics import compile as compiling
 from spiral.types import record as records
 
@@ -32,7 +32,7 @@ def counts(monkeypatch):
         series, "_build_series", "arrays", lambda _, r, steps, __: (r.samples, str(r.hold), steps)
     )
     counted(compiling, "write_function", "models", lambda _, name, model, *__: (name, model.keys))
-    counted(free_starts, "free_run_from_stage", "free runs", lambda a, stage, settled: (
+    counted(free_run_starts, "free_run_from_stage", "free runs", lambda a, stage, settled: (
         tuple(stage.fitted.point.values.ravel()), settled, len(a.study.series[0].y)))  # fmt: skip
     return made
 

@@ -27,7 +27,7 @@ from spiral.inference.evidence.fit_state import half_masks, initial_fit_state
 from spiral.inference.evidence.spectrum import local_maxima
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import integrate
-from spiral.inference.strategies.resonances import scan_effects, widen_study
+from spiral.inference.strategies.shooting.resonances import scan_effects, widen_study
 from spiral.inference.suggest import propose_on_windows
 from spiral.physics.trace import trace
 from spiral.types.effect import FlowEffect

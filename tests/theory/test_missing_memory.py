@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from experiments.memory.bench import SAYS, asked
-from spiral.physics.history import _KNOTS, PresentForce, RememberedForce, _spline_terms
+from spiral.physics.memory_forces import _KNOTS, PresentForce, RememberedForce, _spline_terms
 from spiral.types.port import At
 from tests.marks import others_slow
 

@@ -11,7 +11,7 @@ from spiral.engine.filter.noise import noise_intensity
 from spiral.engine.filter.setup import choose_levels, prepare_filter
 from spiral.engine.filter.task import prepare_task
 from spiral.inference.disturbances import random_forces
-from spiral.inference.strategies.admission import _force_replacement_size
+from spiral.inference.strategies.likelihood.admission import _force_replacement_size
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import Horizon
 from spiral.types.model import seed_model

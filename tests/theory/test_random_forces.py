@@ -17,7 +17,7 @@ from spiral.inference.likelihood.fitting import (
     fit_by_likelihood,
     restart_vanished_noise,
 )
-from spiral.inference.likelihood.ladder import reselect_noise_model, select_noise_model
+from spiral.inference.likelihood.noise_selection import reselect_noise_model, select_noise_model
 from spiral.inference.problem import silent
 from spiral.types.model import seed_model
 from tests.swept_oscillator import KEYS, TRUTH, record_of, shaken, states_alone, task_of

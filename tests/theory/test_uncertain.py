@@ -116,7 +116,7 @@ def test_zero_is_what_the_steps_err_by():
 def test_what_a_fit_knows_of_this_record_is_not_told_twice():
     made = record(np.random.default_rng(0), model())
     task = prepare_task(model(), made)
-    known = Prior((LOAD,), task.parameter_values((LOAD,)), np.array([[4.0]]), told=True)
+    known = Prior((LOAD,), task.parameter_values((LOAD,)), np.array([[4.0]]), of_this_record=True)
     wide = Rts(process_noise=1e-4).reconstruct(replace(task, prior=known))
     alone = Rts(process_noise=1e-4).reconstruct(task)
     np.testing.assert_allclose(wide.means, alone.means)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from spiral.io.config import build_problem, compose, experiments
 from spiral.io.overrides import expand_sweep
-from spiral.io.question import split_records
+from spiral.io.problem_setup import split_records
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError, InputError, SpiralError
 from spiral.view.terminal.preview import describe_records, quiet_test_warning

@@ -8,7 +8,7 @@ from spiral.cli import main
 from spiral.io.config import build_model, build_problem, compose, top_level_options
 from spiral.io.custom import registry_for_config
 from spiral.io.overrides import expand_sweep, parse_overrides
-from spiral.io.question import candidates_for
+from spiral.io.problem_setup import candidates_for
 from spiral.io.registry import load_registry
 from spiral.io.storage import load_run, model_data, rebuild_model
 from spiral.types.errors import ConfigError

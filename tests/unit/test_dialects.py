@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spiral.io.readers.dialect import units_in_names
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.formats import read_table
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError, InputError
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
-from spiral.io.readers.readers import read_table
+from spiral.io.readers.formats import read_table
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError, InputError
 

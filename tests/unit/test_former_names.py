@@ -18,8 +18,10 @@ def test_a_former_name_is_the_same_module(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["filtering.extended", "filtering.setup", "filtering.task", "reading.columns"]
-)
+    "name",
+    ["filtering.extended", "filtering.likelihood", "filtering.setup", "filtering.task",
+     "reading.columns", "reading.files", "reading.preparation", "reading.readers"],
+)  # fmt: skip
 def test_modules_of_a_former_package_are_loaded_once(name):
     assert importlib.import_module(f"spiral.{name}") is importlib.import_module(
         present(f"spiral.{name}")

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from spiral.inference.likelihood.identify import find_parameter_ties
+from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 
 KEYS = ("spring.stiffness", "leak.rate", "spring.damping", "system.mass")
 
@@ -12,7 +12,7 @@ KEYS = ("spring.stiffness", "leak.rate", "spring.damping", "system.mass")
 def _found(values, columns):
     estimate = SimpleNamespace(
         finite=True, keys=KEYS, values=dict(zip(KEYS, values, strict=True)),
-        parts=(SimpleNamespace(columns=columns),),
+        predictions=(SimpleNamespace(columns=columns),),
         covariance=np.full((4, 4), np.inf),
     )  # fmt: skip
     return SimpleNamespace(estimate=estimate)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spiral.engine.filter.observer import Reconstruction
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.physics.compile import compile_model
 from spiral.physics.flow import compile_flow
 from spiral.types.errors import ConfigError, did_you_mean
@@ -23,7 +23,9 @@ class FilterSettings:
     ``start`` (n,) and ``covariance`` (n, n) before the first sample. ``tracked`` parameters are
     estimated as states, from their present value with standard deviation ``doubt`` and a random
     walk of variance ``wander`` per sample. ``second_order``: the paper's transition. ``volume`` is
-    the logarithm of the share of a machine's first states that ``covariance`` looks among.
+    1/2 log(|P'| / |P|), P' the ``covariance`` and P that of the machine's own motion: added to the
+    log-likelihood, so that a filter with a narrowed initial covariance P' compares with one that
+    begins with P (Laplace).
     """
 
     process: Array
@@ -38,7 +40,10 @@ class FilterSettings:
 
 
 Settings = FilterSettings
-"""The name by which observers of version 0.1 import it."""
+"""The former name of ``FilterSettings``, which users' observers may import."""
+
+FilterInputs = tuple[tuple[FilterInput, FilterSettings], ...]
+"""For each record of one machine: its filter input, and settings without process noise."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ class FilterPass:
     done: int
 
 
-def tracked_indices(task: Task, names: tuple[str, ...]) -> Array:
+def tracked_indices(task: FilterInput, names: tuple[str, ...]) -> Array:
     """Positions of parameters that are estimated as states.
 
     Raises
@@ -73,7 +78,7 @@ def tracked_indices(task: Task, names: tuple[str, ...]) -> Array:
 
 
 def filter_record(
-    task: Task, settings: FilterSettings, keep: bool = False, samples: int | None = None
+    task: FilterInput, settings: FilterSettings, keep: bool = False, samples: int | None = None
 ) -> FilterPass:
     """Filter the record, or its first ``samples``; ``keep`` what a smoother needs."""
     from spiral.engine.filter.kernel import EXACT, SECOND_ORDER, extended_filter
@@ -125,7 +130,7 @@ def block_diagonal(matrix: Array, tail: Array) -> Array:
 
 
 def as_reconstruction(
-    task: Task,
+    task: FilterInput,
     settings: FilterSettings,
     run: FilterPass,
     levels: Mapping[str, float],
@@ -149,4 +154,4 @@ def as_reconstruction(
 
 
 filtered = filter_record
-"""The same, by the name in observers written for version 0.1."""
+"""The former name of ``filter_record``, which users' observers may import."""

@@ -16,13 +16,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.engine.filter.task import Task, state_jacobian
+from spiral.engine.filter.task import FilterInput, state_jacobian
 from spiral.types.record import Array
 
 OBSERVED, HIDDEN = "observed", "hidden"
 
 
-def noise_groups(task: Task) -> dict[str, tuple[int, ...]]:
+def noise_groups(task: FilterInput) -> dict[str, tuple[int, ...]]:
     """States driven by noise, by group: those beside a measured channel, and all others."""
     names, traced = task.states, task.compiled.traced
     members: dict[str, list[int]] = {OBSERVED: [], HIDDEN: []}
@@ -30,11 +30,11 @@ def noise_groups(task: Task) -> dict[str, tuple[int, ...]]:
         if traced.rate_name(name) in names:
             continue
         base = traced.base_name(name)
-        members[HIDDEN if traced.told_of.isdisjoint((base, name)) else OBSERVED].append(i)
+        members[HIDDEN if traced.measured_or_read.isdisjoint((base, name)) else OBSERVED].append(i)
     return {k: tuple(v) for k, v in members.items() if v}
 
 
-def driven_states(task: Task, where: str) -> tuple[int, ...]:
+def driven_states(task: FilterInput, where: str) -> tuple[int, ...]:
     """Indices of the states that a force drives: a group's, or the one of this name; else none."""
     known = noise_groups(task)
     if where in known:
@@ -42,7 +42,7 @@ def driven_states(task: Task, where: str) -> tuple[int, ...]:
     return (task.states.index(where),) if where in task.states else ()
 
 
-def noise_intensity(task: Task, levels: Mapping[str, float]) -> Array:
+def noise_intensity(task: FilterInput, levels: Mapping[str, float]) -> Array:
     """(n,) white-noise intensity of every state, state^2 / s; levels by group or by state."""
     density = np.zeros(len(task.states))
     for where, level in levels.items():
@@ -51,7 +51,7 @@ def noise_intensity(task: Task, levels: Mapping[str, float]) -> Array:
     return density
 
 
-def sampled_covariance(task: Task, continuous: Array) -> Array:
+def sampled_covariance(task: FilterInput, continuous: Array) -> Array:
     """(n, n) covariance that white noise of this intensity (n,) adds over one sample."""
     known, key = task.disturbed, continuous.tobytes()
     if key not in known:
@@ -59,7 +59,7 @@ def sampled_covariance(task: Task, continuous: Array) -> Array:
     return known[key]
 
 
-def _integrate_noise(task: Task, continuous: Array) -> Array:
+def _integrate_noise(task: FilterInput, continuous: Array) -> Array:
     size = task.scales
     a = (
         state_jacobian(task.compiled, task.values, task.mean_inputs, task.centre)

@@ -12,7 +12,7 @@ import numpy as np
 from spiral.types.plugin import Plugin
 
 if TYPE_CHECKING:
-    from spiral.engine.filter.task import Task
+    from spiral.engine.filter.task import FilterInput
 
 Array = np.ndarray
 
@@ -54,10 +54,10 @@ class Observer(Plugin):
 
     kind: ClassVar[str] = "observer"
     doubts: ClassVar[bool] = False
-    """Whether its bands take in what is uncertain of the parameters (``Task.prior``)."""
+    """Whether its bands take in what is uncertain of the parameters (``FilterInput.prior``)."""
 
     @abstractmethod
-    def reconstruct(self, task: Task) -> Reconstruction:
+    def reconstruct(self, task: FilterInput) -> Reconstruction:
         """All states with their standard deviations, sample by sample.
 
         A filter that runs away says so by ``done``; it raises nothing.

@@ -1,7 +1,7 @@
 """Posterior of uncertain parameters given a record, with the process noise tuned beside them.
 
-1. the most probable values, log L(innovations) + log p(theta) (``engine.filter.likelihood``), with
-   the process noise lowered as they are found, to zero where that is as likely;
+1. the most probable values, log L(innovations) + log p(theta) (``engine.filter.innovation_fit``),
+   with the process noise lowered as they are found, to zero where that is as likely;
 2. the innovations to second order around them (``spiral.engine.filter.curved_posterior``);
 3. steps of one standard deviation along each axis where the posterior is a Gaussian, else draws
    from the second order, weighed with the likelihood of the run itself.
@@ -16,10 +16,10 @@ import numpy as np
 
 from spiral.engine.filter.curved_posterior import Expansion, build_expansion, draw_samples
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.likelihood import TunedTasks, climb_likelihood
+from spiral.engine.filter.innovation_fit import TunedTasks, climb_likelihood
 from spiral.engine.filter.prior import Prior, covariance_root
 from spiral.engine.filter.setup import choose_levels, with_level, zero_unneeded_levels
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.filter.tuning import LOWEST
 from spiral.engine.filter.whitened import whiten_innovations
 from spiral.types.record import Array
@@ -38,7 +38,7 @@ class Posterior:
     from over that of the most probable values; both are empty where the posterior is a Gaussian.
     """
 
-    task: Task
+    task: FilterInput
     levels: Mapping[str, float]
     covariance: Array
     draws: Array
@@ -51,16 +51,16 @@ class Posterior:
 
 
 def posterior(
-    task: Task, settings: FilterSettings, given: Mapping[str, float] | float | None
+    task: FilterInput, settings: FilterSettings, given: Mapping[str, float] | float | None
 ) -> Posterior:
     """The posterior of a task's uncertain parameters; process noise ``given`` or tuned.
 
-    What a fit knows of this very record (``Prior.told``) is the posterior already.
+    What a fit knows of this very record (``Prior.of_this_record``) is the posterior already.
     """
     prior = task.prior
     assert prior is not None
     none = np.zeros((0, len(prior.keys)))
-    if prior.told:
+    if prior.of_this_record:
         levels = choose_levels(task, settings, given)
         return Posterior(task, levels, prior.covariance, none, np.zeros(0))
     task = replace(task, moved=prior.keys)
@@ -82,7 +82,7 @@ def posterior(
     return Posterior(task, levels, covariance, draws, bend.log_density(w))
 
 
-def _mirror_starts(estimate: TunedTasks, prior: Prior) -> list[Task]:
+def _mirror_starts(estimate: TunedTasks, prior: Prior) -> list[FilterInput]:
     """Other starts: the estimate, mirrored in the directions that the record determines least.
 
     Where two parameters can share what the record tells in two ways, such as the stiffness of two
@@ -99,7 +99,7 @@ def _mirror_starts(estimate: TunedTasks, prior: Prior) -> list[Task]:
 
 
 def _climb_posterior(
-    task: Task, settings: FilterSettings, prior: Prior, known: Mapping[str, float] | None
+    task: FilterInput, settings: FilterSettings, prior: Prior, known: Mapping[str, float] | None
 ) -> TunedTasks:
     """The most probable values, then once more with the process noise that is needed there."""
     bounds = {
@@ -115,7 +115,7 @@ def _climb_posterior(
 
 
 def _expand_innovations(
-    task: Task, settings: FilterSettings, prior: Prior, covariance: Array
+    task: FilterInput, settings: FilterSettings, prior: Prior, covariance: Array
 ) -> Expansion | None:
     """Innovations and prior to second order in steps of one standard deviation."""
     root, here = covariance_root(covariance), task.parameter_values(prior.keys)

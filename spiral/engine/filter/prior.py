@@ -27,13 +27,14 @@ _RANK = 1e-12  # share of the largest variance (of correlations) under which a d
 class Prior:
     """``mean`` (q,) and ``covariance`` (q, q) of parameters by their full names.
 
-    ``told``: they are of a fit to this very record, so that the prior is the posterior already.
+    ``of_this_record``: they are of a fit to this very record, so that the prior is the
+    posterior already.
     """
 
     keys: tuple[str, ...]
     mean: Array
     covariance: Array
-    told: bool = False
+    of_this_record: bool = False
 
     @cached_property
     def root(self) -> Array:

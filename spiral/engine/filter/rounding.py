@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.engine.filter.task import Task, run_from_rest, with_finer_steps
+from spiral.engine.filter.task import FilterInput, run_from_rest, with_finer_steps
 from spiral.engine.filter.tuning import LOWEST
 from spiral.engine.kernel import trajectories
 from spiral.types.record import Array
@@ -22,7 +22,7 @@ _FINE, _TIMES = 1e-8, 4  # level that finer steps are to reach, and the most of 
 _LEAST = 1e-12  # the arithmetic's own
 
 
-def rounding_level(task: Task) -> float:
+def rounding_level(task: FilterInput) -> float:
     """The level of process noise that stands for zero; the smallest tried where none is known."""
     states = run_from_rest(task.compiled, task.series, task.inputs, task.values)
     if states is None or task.inputs is not task.series.inputs:
@@ -36,17 +36,17 @@ def rounding_level(task: Task) -> float:
     return float(np.clip(level, _LEAST, LOWEST)) if np.isfinite(level) else LOWEST
 
 
-def refine_steps(task: Task) -> Task:
+def refine_steps(task: FilterInput) -> FilterInput:
     """The task with so many more steps that their error is a level of 1e-8; four times at most."""
     times = int(np.clip(np.ceil((rounding_level(task) / _FINE) ** 0.25), 1, _TIMES))
     return _multiply_steps(task, times) if task.inputs is task.series.inputs else task
 
 
-def _multiply_steps(task: Task, times: int) -> Task:
+def _multiply_steps(task: FilterInput, times: int) -> FilterInput:
     return with_finer_steps(task, times) if times > 1 else task
 
 
-def _advance_one_sample(task: Task, starts: Array, first: Array) -> Array:
+def _advance_one_sample(task: FilterInput, starts: Array, first: Array) -> Array:
     """(places, n) states one sample after ``first``."""
     states = np.full((task.series.samples, starts.shape[1]), np.nan)
     trajectories(

@@ -16,7 +16,7 @@ from spiral.engine.filter.noise import (
     sampled_covariance,
 )
 from spiral.engine.filter.rounding import rounding_level
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.filter.tuning import most_likely_levels
 from spiral.engine.study import ORIGIN
 from spiral.types.errors import ConfigError, did_you_mean
@@ -35,7 +35,7 @@ DRIFT = "drift"
 """Name of the share of a tracked phase's drift, beside the levels of the groups of states."""
 
 
-def tracked_parameters(task: Task, named: tuple[str, ...] | None) -> tuple[str, ...]:
+def tracked_parameters(task: FilterInput, named: tuple[str, ...] | None) -> tuple[str, ...]:
     """Parameters estimated as states: those named, else the record's phase origin.
 
     It is a nuisance where something turns with the phase, unless it is uncertain by itself.
@@ -57,12 +57,12 @@ def tracked_parameters(task: Task, named: tuple[str, ...] | None) -> tuple[str, 
 
 
 def prepare_filter(
-    task: Task,
+    task: FilterInput,
     track: tuple[str, ...] | None = None,
     doubt: Mapping[str, float] | None = None,
     spread: float = 1.0,
-) -> tuple[Task, FilterSettings]:
-    """Task and settings without process noise; a tracked phase origin is searched for first.
+) -> tuple[FilterInput, FilterSettings]:
+    """The input and settings without process noise; a tracked phase origin is searched for first.
 
     Parameters
     ----------
@@ -91,7 +91,9 @@ def prepare_filter(
     return task, settings
 
 
-def with_level(task: Task, settings: FilterSettings, levels: Mapping[str, float]) -> FilterSettings:
+def with_level(
+    task: FilterInput, settings: FilterSettings, levels: Mapping[str, float]
+) -> FilterSettings:
     """The settings with process noise at these levels, and with that share of the drift."""
     process = sampled_covariance(task, noise_intensity(task, levels))
     drift = settings.wander * levels.get(DRIFT, 1.0) ** 2
@@ -99,7 +101,7 @@ def with_level(task: Task, settings: FilterSettings, levels: Mapping[str, float]
 
 
 def choose_levels(
-    task: Task, settings: FilterSettings, given: Mapping[str, float] | float | None
+    task: FilterInput, settings: FilterSettings, given: Mapping[str, float] | float | None
 ) -> dict[str, float]:
     """The levels given, or the most likely ones.
 
@@ -131,7 +133,7 @@ def choose_levels(
 
 
 def zero_unneeded_levels(
-    task: Task, settings: FilterSettings, levels: Mapping[str, float]
+    task: FilterInput, settings: FilterSettings, levels: Mapping[str, float]
 ) -> dict[str, float]:
     """The levels, each zero where that is as likely; of a drift the smallest share that is.
 
@@ -156,7 +158,7 @@ def zero_unneeded_levels(
 
 
 def smoothed_states(
-    task: Task,
+    task: FilterInput,
     levels: Mapping[str, float] | None = None,
     track: tuple[str, ...] | None = None,
     doubt: Mapping[str, float] | None = None,
@@ -174,13 +176,15 @@ def smoothed_states(
     return np.nan_to_num(run.means)
 
 
-def _log_volume_share(task: Task) -> float:
-    """Logarithm of the share of the machine's first states that a task begins among."""
+def _log_volume_share(task: FilterInput) -> float:
+    """1/2 log(|P'| / |P|), P' the initial covariance where narrower than the machine's own P."""
     narrow = task.spread < task.scales
     return float(np.log(task.spread[narrow] / task.scales[narrow]).sum())
 
 
-def _initial_deviations(task: Task, tracked: tuple[str, ...], given: Mapping[str, float]) -> Array:
+def _initial_deviations(
+    task: FilterInput, tracked: tuple[str, ...], given: Mapping[str, float]
+) -> Array:
     """First standard deviation of tracked parameters: an eighth turn, or a fifth of the value."""
     for name in given:
         if name not in tracked:
@@ -199,14 +203,14 @@ def _initial_deviations(task: Task, tracked: tuple[str, ...], given: Mapping[str
     return np.array(deviations, dtype=float)
 
 
-def _drift_variances(task: Task, tracked: tuple[str, ...]) -> Array:
+def _drift_variances(task: FilterInput, tracked: tuple[str, ...]) -> Array:
     """Variance per sample of a random walk: of a phase that was not measured, else zero."""
     measured = "phase" in task.series.record.measured
     drift = 0.0 if measured else _DRIFT**2 * task.series.dt
     return np.array([drift if name == "system.phase_origin" else 0.0 for name in tracked])
 
 
-def _search_phase_origin(task: Task, settings: FilterSettings, angle: str) -> Task:
+def _search_phase_origin(task: FilterInput, settings: FilterSettings, angle: str) -> FilterInput:
     """The task with its phase origin at the present value, or at the best of eight turns."""
     first = task.values[task.keys.index(angle)]
     samples = min(task.series.samples, max(64, round(_SEARCH / task.series.dt)))
@@ -223,4 +227,4 @@ def _search_phase_origin(task: Task, settings: FilterSettings, angle: str) -> Ta
 
 
 prepared = prepare_filter
-"""The same, by the name in observers written for version 0.1."""
+"""The former name of ``prepare_filter``, which users' observers may import."""

@@ -10,7 +10,7 @@ from spiral.engine.filter.extended import (
     block_diagonal,
     tracked_indices,
 )
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.types.record import Array
 
 
@@ -24,7 +24,10 @@ def sigma_weights(size: int, alpha: float, beta: float, kappa: float) -> tuple[f
 
 
 def filter_sigma_points(
-    task: Task, settings: FilterSettings, shape: tuple[float, float, float], keep: bool = False
+    task: FilterInput,
+    settings: FilterSettings,
+    shape: tuple[float, float, float],
+    keep: bool = False,
 ) -> FilterPass:
     """Filter the record; ``shape`` is (alpha, beta, kappa); ``keep`` the covariances."""
     from spiral.engine.filter.unscented import unscented_filter

@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.filter.noise import noise_intensity
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.types.errors import ConfigError
 from spiral.types.record import Array, Record
 
 
 def simulate_disturbed(
-    task: Task,
+    task: FilterInput,
     levels: Mapping[str, float],
     noise_level: float,
     rng: np.random.Generator,

@@ -1,4 +1,4 @@
-"""The input of an observer: a compiled model, one record, and scales of every state.
+"""The input of a Kalman filter for one record: compiled model, samples, scales of every state.
 
 Scales come from the model itself: its free run under the record's inputs. With s_i the standard
 deviation of a state and a_i that of its rate, everything that a filter must be told (the initial
@@ -33,8 +33,8 @@ _REST = 1e-12  # for a state at rest: a square root has no finite slope at zero
 
 
 @dataclass(frozen=True)
-class Task:
-    """One record to be reconstructed.
+class FilterInput:
+    """What the Kalman filter needs for one record: model, samples, values, initial state, scales.
 
     ``compiled`` has derivatives for the record's own parameters only (see ``compile_model``);
     ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
@@ -95,16 +95,20 @@ class Task:
         """Values of these parameters."""
         return self.values[[self.keys.index(k) for k in keys]]
 
-    def with_parameters(self, keys: Sequence[str], values: Array) -> Task:
+    def with_parameters(self, keys: Sequence[str], values: Array) -> FilterInput:
         """The same with these parameters at ``values`` (keys,)."""
         return self.with_values(dict(zip(keys, map(float, values), strict=True)))
 
-    def with_values(self, values: Mapping[str, float]) -> Task:
+    def with_values(self, values: Mapping[str, float]) -> FilterInput:
         """The same with other parameter values."""
         row = self.values.copy()
         for key, value in values.items():
             row[self.keys.index(key)] = value
         return replace(self, values=row)
+
+
+Task = FilterInput
+"""The former name of ``FilterInput``, which users' observers may import."""
 
 
 def prepare_task(
@@ -114,7 +118,7 @@ def prepare_task(
     inputs: Array | None = None,
     substeps: int | None = None,
     every: bool = False,
-) -> Task:
+) -> FilterInput:
     """Compile the model, put the record on the integrator's grid, and find the scales.
 
     Parameters
@@ -137,7 +141,7 @@ def prepare_task(
     return build_task(model, compiled, values, record, start, inputs, substeps)
 
 
-def with_record(task: Task, record: Record, start: Array | None = None) -> Task:
+def with_record(task: FilterInput, record: Record, start: Array | None = None) -> FilterInput:
     """The same model and values on another record, scales found anew; nothing is compiled again."""
     return build_task(task.model, task.compiled, task.values, record, start)
 
@@ -151,8 +155,8 @@ def build_task(
     inputs: Array | None = None,
     substeps: int | None = None,
     series: Series | None = None,
-    like: Task | None = None,
-) -> Task:
+    like: FilterInput | None = None,
+) -> FilterInput:
     """A task of functions compiled elsewhere: of the model, or of one with more effects.
 
     ``series`` is the record where it is prepared already; ``like`` a task whose scales are taken of
@@ -171,13 +175,13 @@ def build_task(
         centre, scales, rates = _settled_scales(compiled, series, grid, values, mapping)
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
     begin = _finite_state(compiled, values, begin, grid[0]) if start is None else begin
-    task = Task(
+    task = FilterInput(
         model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
     )
     return task if like is None else _adopt_scales(task, like)
 
 
-def with_start_spread(task: Task, spread: Array | None) -> Task:
+def with_start_spread(task: FilterInput, spread: Array | None) -> FilterInput:
     """The task with standard deviations ``spread`` (n,) of its first state.
 
     At most those of the settled motion, which are taken where ``spread`` is nan, or None.
@@ -187,7 +191,7 @@ def with_start_spread(task: Task, spread: Array | None) -> Task:
     return replace(task, spread=np.fmin(spread, task.scales))
 
 
-def _adopt_scales(task: Task, other: Task) -> Task:
+def _adopt_scales(task: FilterInput, other: FilterInput) -> FilterInput:
     """A task with another's scales of the states that both have."""
     adopted = {name: getattr(task, name).copy() for name in ("spread", "centre", "scales", "rates")}
     for i, state in enumerate(task.states):
@@ -197,13 +201,13 @@ def _adopt_scales(task: Task, other: Task) -> Task:
     return replace(task, **adopted)
 
 
-def with_finer_steps(task: Task, times: int) -> Task:
+def with_finer_steps(task: FilterInput, times: int) -> FilterInput:
     """The task with so many times the Runge-Kutta steps per sample; all else is kept."""
     series = prepare_series(task.model.system, task.series.record, times * task.series.substeps)
     return replace(task, series=series, inputs=series.inputs)
 
 
-def resting_first_state(task: Task) -> Array | None:
+def resting_first_state(task: FilterInput) -> Array | None:
     """A first state whose hidden states of first order are where their own rates are zero.
 
     By Newton's steps at the mean inputs: a level where what flows out is what is pumped in, a

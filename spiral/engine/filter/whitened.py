@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.engine.filter.extended import FilterPass, FilterSettings, filter_record, tracked_indices
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.physics.flow import compile_flow
 from spiral.types.record import Array
 
@@ -34,7 +34,7 @@ class WhitenedRecord:
 
 
 def whiten_innovations(
-    task: Task, settings: FilterSettings, keys: tuple[str, ...]
+    task: FilterInput, settings: FilterSettings, keys: tuple[str, ...]
 ) -> WhitenedRecord | None:
     """The record filtered and its innovations whitened; nothing where the filter runs away.
 

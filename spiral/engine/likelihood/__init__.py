@@ -1,1 +1,1 @@
-"""Parameters and noise by the likelihood of one-step predictions over whole records."""
+"""Numerics of ``strategy=likelihood``: one-step predictions, their likelihood, its maximum."""

@@ -30,9 +30,9 @@ from spiral.engine.likelihood.information import regression_rows, widening_facto
 from spiral.engine.likelihood.noise import NoiseModel, size_limits
 from spiral.engine.likelihood.predict import (
     RUNAWAY,
+    FilterInputs,
     Masks,
     Prediction,
-    Prepared,
     log_likelihood,
     predict_cases,
     run_in_threads,
@@ -86,21 +86,29 @@ class SlopeCache:
 
 
 @dataclass(frozen=True)
-class Maximum:
-    """The maximum of the likelihood.
+class MaximumLikelihood:
+    """The maximum of the likelihood, and what was found there.
 
-    ``parts`` are the predictions there with their slopes by ``keys``; ``solved`` the last scoring
-    regression, whose inverse is that of the information; ``converged`` whether no step was worth
-    more; ``steps`` how many were taken; ``sizes`` of the noise that the regression has; ``kept``
-    slopes that a further search may begin with.
+    Fields
+    ------
+    prepared : the records at the most likely values.
+    noise : the noise model with its most likely sizes.
+    keys : the parameters that moved.
+    predictions : of every record, with their slopes by ``keys``.
+    regression : the last scoring regression, whose inverse is that of the information.
+    converged : whether no step was worth more.
+    steps : how many were taken.
+    sizes : of the noise, that the regression has.
+    kept : slopes that a further search may begin with.
+    widened : factors on the standard errors, by how much blocks of the record differ.
     """
 
-    prepared: Prepared
+    prepared: FilterInputs
     noise: NoiseModel
     keys: tuple[str, ...]
     log_likelihood: float
-    parts: tuple[Prediction, ...]
-    solved: Fit | None
+    predictions: tuple[Prediction, ...]
+    regression: Fit | None
     converged: bool
     steps: int
     sizes: tuple[str, ...] = ()
@@ -121,37 +129,37 @@ class Maximum:
     @property
     def errors(self) -> dict[str, float]:
         """Standard errors of the parameters that moved, from the information, or from blocks."""
-        if self.solved is None:
+        if self.regression is None:
             return {}
-        spread = self.solved.spread(1.0)[: len(self.keys)] * (self.widened or 1.0)
+        spread = self.regression.spread(1.0)[: len(self.keys)] * (self.widened or 1.0)
         return {k: float(s) for k, s in zip(self.keys, spread, strict=True)}
 
     @property
     def covariance(self) -> Array:
         """(keys, keys) covariance of the values; widened as their errors are."""
-        if self.solved is None:
+        if self.regression is None:
             return np.full((len(self.keys),) * 2, np.inf)
-        part = self.solved.inverse[: len(self.keys)]
+        part = self.regression.inverse[: len(self.keys)]
         wide = np.array(self.widened or (1.0,) * len(self.keys))
         return (part @ part.T) * np.outer(wide, wide)
 
     @property
     def noise_errors(self) -> dict[str, float]:
         """Standard errors of the logarithms of the noise's sizes."""
-        if self.solved is None:
+        if self.regression is None:
             return {}
-        spread = self.solved.spread(1.0)[len(self.keys) :]
+        spread = self.regression.spread(1.0)[len(self.keys) :]
         return {k: float(s) for k, s in zip(self.sizes, spread, strict=False)}
 
     @property
     def chi2(self) -> float:
         """Mean squared whitened innovation; 1 where the noise model is right."""
-        squares = sum(float(np.sum(p.whitened**2)) for p in self.parts)
-        return squares / max(sum(int(np.sum(p.spreads > 0)) for p in self.parts), 1)
+        squares = sum(float(np.sum(p.whitened**2)) for p in self.predictions)
+        return squares / max(sum(int(np.sum(p.spreads > 0)) for p in self.predictions), 1)
 
 
 def maximise_likelihood(
-    prepared: Prepared,
+    prepared: FilterInputs,
     keys: tuple[str, ...],
     noise: NoiseModel,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -162,7 +170,7 @@ def maximise_likelihood(
     kept: SlopeCache | None = None,
     differences: bool = True,
     least: float = -np.inf,
-) -> Maximum:
+) -> MaximumLikelihood:
     """The most likely values of parameters that all records share, and of the noise.
 
     Parameters
@@ -185,7 +193,7 @@ def maximise_likelihood(
     parts = predict_cases([(prepared, noise)], keys, keep=tune)[0]
     height = log_likelihood(parts, masks)
     kept = kept if kept is not None and kept.match_records(parts) else SlopeCache()
-    at = Maximum(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
+    at = MaximumLikelihood(prepared, noise, keys, height, parts, None, False, 0, kept=kept)
     damping, fresh = _DAMPING, still
     for left in reversed(range(steps)):
         if not at.finite:
@@ -198,7 +206,7 @@ def maximise_likelihood(
     return at
 
 
-def add_standard_errors(at: Maximum) -> Maximum:
+def add_standard_errors(at: MaximumLikelihood) -> MaximumLikelihood:
     """The estimate with slopes by differences at its own values, and standard errors of these.
 
     On the way there slopes are kept from other places, which is good enough for a direction.
@@ -210,10 +218,13 @@ def add_standard_errors(at: Maximum) -> Maximum:
     rows = search.rows(at)
     solved = solve_triangle(*triangle(itertools.chain(*rows)))
     factors = widening_factors(
-        at.parts, rows, solved, residual_block_samples(tuple(p.whitened for p in at.parts))
+        at.predictions,
+        rows,
+        solved,
+        residual_block_samples(tuple(p.whitened for p in at.predictions)),
     )
     widened = tuple(map(float, factors[: len(at.keys)]))
-    return replace(at, solved=solved, sizes=search.sizes(at), widened=widened)
+    return replace(at, regression=solved, sizes=search.sizes(at), widened=widened)
 
 
 @dataclass(frozen=True)
@@ -223,7 +234,7 @@ class _DampedStep:
     ``promised`` its gain by the regression, ``best`` that of the step without damping.
     """
 
-    better: Maximum | None
+    better: MaximumLikelihood | None
     damping: float
     solved: Fit
     promised: float
@@ -243,15 +254,15 @@ class _Search:
     still: bool = False
 
     def take_step(
-        self, at: Maximum, damping: float, fresh: bool
-    ) -> tuple[Maximum, float, bool, bool]:
+        self, at: MaximumLikelihood, damping: float, fresh: bool
+    ) -> tuple[MaximumLikelihood, float, bool, bool]:
         """One step: the estimate, the damping, whether slopes are of there, whether it is over."""
         at = self.with_size_slopes(at)
         step = self.find_rising_step(at, damping)
         better, damping = step.better, step.damping
         gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
         sizes, steps = self.sizes(at), at.steps + 1
-        at = replace(better or at, solved=step.solved, steps=steps, sizes=sizes)
+        at = replace(better or at, regression=step.solved, steps=steps, sizes=sizes)
         faithful = _TRUE * step.promised <= gain <= step.promised / _TRUE
         over = step.best < self.enough or (fresh and (self.rough or not faithful))
         if (gain < self.enough and over) or (better is None and fresh):
@@ -264,20 +275,20 @@ class _Search:
             return at, damping, self.still, False
         return (at if fresh else self.with_difference_slopes(at)), damping, True, False
 
-    def sizes(self, at: Maximum) -> tuple[str, ...]:
+    def sizes(self, at: MaximumLikelihood) -> tuple[str, ...]:
         """The sizes that move: those at their least value stay there."""
         task = at.prepared[0][0]
         names = at.noise.names if self.tune else ()
         return tuple(n for n in names if at.noise.values[n] > _FLOOR * size_limits(task, n)[0])
 
-    def with_size_slopes(self, at: Maximum, moved: float = _STALE) -> Maximum:
+    def with_size_slopes(self, at: MaximumLikelihood, moved: float = _STALE) -> MaximumLikelihood:
         """With slopes by sizes of the noise made anew, where those kept are missing or stale."""
         names = self.sizes(at)
         if not at.kept.are_stale(at.noise, names, moved):
             return at
         larger = np.exp(_DIFFERENCE)
         others = [at.noise.with_values({n: at.noise.values[n] * larger}) for n in names]
-        runs = at.parts
+        runs = at.predictions
         if any(len(p.means) == 0 for p in runs):
             runs = predict_cases([(at.prepared, at.noise)], keep=True)[0]
 
@@ -286,15 +297,17 @@ class _Search:
 
         changes = run_in_threads(vary_sizes, range(len(runs))) if names else []
         sizes = {
-            n: tuple(_size_slopes(p, *other[j]) for p, other in zip(at.parts, changes, strict=True))
+            n: tuple(
+                _size_slopes(p, *other[j]) for p, other in zip(at.predictions, changes, strict=True)
+            )
             for j, n in enumerate(names)
         }
         return replace(at, kept=replace(at.kept, sizes=sizes, at=dict(at.noise.values)))
 
-    def with_difference_slopes(self, at: Maximum) -> Maximum:
+    def with_difference_slopes(self, at: MaximumLikelihood) -> MaximumLikelihood:
         """With all slopes by differences, made at these values."""
         at = self.with_size_slopes(at, _FRESH)
-        held = [p.columns for p in at.parts]
+        held = [p.columns for p in at.predictions]
         widths = _difference_steps(held)
         others = predict_cases(
             [(_shift_parameter(at.prepared, self.keys[j], h), at.noise) for j, h in widths.items()]
@@ -304,13 +317,13 @@ class _Search:
             if log_likelihood(other) > RUNAWAY:
                 beyond[self.keys[j]] = tuple(
                     (old.misses - new.misses) * old.weight / h - mine[:, :, j]
-                    for mine, old, new in zip(held, at.parts, other, strict=True)
+                    for mine, old, new in zip(held, at.predictions, other, strict=True)
                 )
         return replace(at, kept=replace(at.kept, beyond=beyond))
 
-    def columns(self, at: Maximum) -> list[Array]:
+    def columns(self, at: MaximumLikelihood) -> list[Array]:
         """Slopes of the whitened innovations by parameters (sign turned), for every record."""
-        slopes = [p.columns.copy() for p in at.parts]  # slopes that overflow count as zero
+        slopes = [p.columns.copy() for p in at.predictions]  # slopes that overflow count as zero
         for j, key in enumerate(self.keys):
             for mine, more in zip(slopes, at.kept.beyond.get(key, ()), strict=False):
                 mine[:, :, j] += more
@@ -318,18 +331,18 @@ class _Search:
             mine[:, :, ~np.isfinite(mine).all(axis=(0, 1))] = 0.0
         return slopes
 
-    def rows(self, at: Maximum) -> list[list[Array]]:
+    def rows(self, at: MaximumLikelihood) -> list[list[Array]]:
         """The scoring regression's rows of every record."""
         blocks = []
         names, columns = self.sizes(at), self.columns(at)
-        for r, part in enumerate(at.parts):
+        for r, part in enumerate(at.predictions):
             chosen = None if self.masks is None else self.masks[r]
             mask = slice(None) if chosen is None else chosen
             beside = [at.kept.sizes[n][r] for n in names]
             blocks.append(regression_rows(part, columns[r], beside, mask))
         return blocks
 
-    def find_rising_step(self, at: Maximum, damping: float) -> _DampedStep:
+    def find_rising_step(self, at: MaximumLikelihood, damping: float) -> _DampedStep:
         """The first damped step that rises."""
         names = (*self.keys, *self.sizes(at))
         upper, count = triangle(itertools.chain(*self.rows(at)))
@@ -348,15 +361,17 @@ class _Search:
             parts = predict_cases([trial], self.keys, keep=self.tune)[0]
             height = log_likelihood(parts, self.masks)
             if height > at.log_likelihood:
-                better = Maximum(*trial, self.keys, height, parts, None, False, 0, kept=at.kept)
+                better = MaximumLikelihood(
+                    *trial, self.keys, height, parts, None, False, 0, kept=at.kept
+                )
                 easier = _EASE if height - at.log_likelihood < _WELL * promised else _EASE**2
                 return _DampedStep(better, max(damping * easier, 1e-9), solved, promised, best)
             damping = max(damping, 1e-6) * _STRAIN
         return _DampedStep(None, damping, solved, promised, best)
 
     def _apply_step(
-        self, at: Maximum, names: tuple[str, ...], step: Array, kept: Array
-    ) -> tuple[Prepared, NoiseModel]:
+        self, at: MaximumLikelihood, names: tuple[str, ...], step: Array, kept: Array
+    ) -> tuple[FilterInputs, NoiseModel]:
         task = at.prepared[0][0]
         values, sizes = {}, {}
         for name, delta, told in zip(names, step, kept, strict=True):
@@ -380,7 +395,7 @@ def _difference_steps(columns: Sequence[Array]) -> dict[int, float]:
     return {j: _MOVE * float(np.sqrt(count / e)) for j, e in enumerate(energy) if e > 0}
 
 
-def _shift_parameter(prepared: Prepared, key: str, step: float) -> Prepared:
+def _shift_parameter(prepared: FilterInputs, key: str, step: float) -> FilterInputs:
     """The records with one parameter moved."""
     task = prepared[0][0]
     value = float(task.values[task.keys.index(key)]) + step

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseMatrices, NoiseModel, noise_matrices
 from spiral.types.noise import COLOURED
 from spiral.types.record import Array
@@ -25,7 +25,7 @@ _STEPS = 200_000  # of integration for all motions together
 _FEWEST, _MOST = 8, 64  # motions that are drawn
 
 
-def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel) -> Array:
+def free_spread(task: FilterInput, settings: FilterSettings, noise: NoiseModel) -> Array:
     """(samples, channels) rms of what a free run that begins at ``settings.start`` is off by.
 
     It is as large as it can be from where a motion leaves all bounds.
@@ -50,7 +50,7 @@ def free_spread(task: Task, settings: FilterSettings, noise: NoiseModel) -> Arra
     return np.sqrt(total / count)
 
 
-def _disturbed_readings(task: Task, start: Array, kicks: Array) -> Array:
+def _disturbed_readings(task: FilterInput, start: Array, kicks: Array) -> Array:
     """(samples, channels) readings of one motion; infinite from where it leaves all bounds.
 
     ``kicks`` (samples - 1, substeps, n) are added to the states after each step.

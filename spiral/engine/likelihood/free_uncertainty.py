@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.filter.setup import prepare_filter
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.types.record import Array
@@ -27,7 +27,7 @@ _SMALL = 1e-5  # share of a state's first doubt by which its start is moved
 
 
 def free_doubt(
-    task: Task, start: Array, keys: Sequence[str], covariance: Array, noise: NoiseModel,
+    task: FilterInput, start: Array, keys: Sequence[str], covariance: Array, noise: NoiseModel,
     settled: int,
 ) -> Array:  # fmt: skip
     """(samples - settled, channels) standard deviation of a free run from ``start``.
@@ -40,11 +40,12 @@ def free_doubt(
     task, settings = prepare_filter(replace(task, moved=tuple(keys)), ())  # one flow for all passes
     sure = replace(settings, covariance=np.zeros_like(settings.covariance))
     deviations = task.series.deviations
-    deaf = first_noise(task, 0.0, deviations)  # a filter that is sure of its state corrects nothing
+    # A filter that is sure of its state corrects nothing.
+    no_correction = first_noise(task, 0.0, deviations)
     spreads = _SMALL * task.spread
 
     def misses(x: Array, names: Sequence[str] = ()) -> tuple[Array, Array]:
-        run = predict_readings(task, replace(sure, start=x), deaf, names)
+        run = predict_readings(task, replace(sure, start=x), no_correction, names)
         left = run.misses if run.whole else np.full_like(run.misses, np.nan)
         return left, run.slopes
 

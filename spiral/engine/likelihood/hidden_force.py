@@ -16,8 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
-from spiral.engine.filter.task import Task
-from spiral.engine.likelihood.fit import Maximum
+from spiral.engine.filter.task import FilterInput
+from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import OWN, NoiseModel
 from spiral.engine.likelihood.predict import total_log_likelihood
@@ -27,14 +27,14 @@ _FALL = 2.0  # of log L
 _FIRST, _FACTOR = 1e-4, 3.0  # least level that is tried, and from one to the next
 
 
-def larger_forces(at: Maximum) -> tuple[NoiseModel, ...]:
+def larger_forces(at: MaximumLikelihood) -> tuple[NoiseModel, ...]:
     """The noise with each white force as large as the records would not show, the others kept."""
     forces = (t for t in at.noise.terms if t.kind == "force")
     return tuple(at.noise.with_values({t.size: _largest_level(at, t.size)}) for t in forces)
 
 
 def hidden_force_spread(
-    task: Task, settings: FilterSettings, noise: NoiseModel, larger: Sequence[NoiseModel]
+    task: FilterInput, settings: FilterSettings, noise: NoiseModel, larger: Sequence[NoiseModel]
 ) -> Array:
     """(samples, channels) that ``larger_forces`` may add to a free run, as ``free_spread`` does."""
     known = free_spread(task, settings, noise) ** 2
@@ -44,7 +44,7 @@ def hidden_force_spread(
     return np.sqrt(most)
 
 
-def _largest_level(at: Maximum, size: str) -> float:
+def _largest_level(at: MaximumLikelihood, size: str) -> float:
     """The largest level of one force that costs no more than ``_FALL``."""
     known, lost = at.noise.values[size], 0.0
     level = max(known, _FIRST / _FACTOR)

@@ -33,7 +33,7 @@ from spiral.engine.filter.noise import (
     noise_intensity,
     sampled_covariance,
 )
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.types.noise import COLOURED, Kind
 from spiral.types.record import Array
 
@@ -131,7 +131,7 @@ class NoiseModel:
         return NoiseModel(kept, {k: v for k, v in self.values.items() if k in names})
 
 
-def first_noise(task: Task, level: float, sizes: Array | None = None) -> NoiseModel:
+def first_noise(task: FilterInput, level: float, sizes: Array | None = None) -> NoiseModel:
     """White noise of every channel and a white force on every group of states.
 
     Parameters
@@ -148,7 +148,7 @@ def first_noise(task: Task, level: float, sizes: Array | None = None) -> NoiseMo
     return NoiseModel(terms, values | {f"force.{g}": level for g in noise_groups(task)})
 
 
-def size_limits(task: Task, name: str) -> tuple[float, float]:
+def size_limits(task: FilterInput, name: str) -> tuple[float, float]:
     """Smallest and largest value that a size or time may take."""
     kind, _, where = name.partition(".")
     if where == "time":
@@ -165,7 +165,7 @@ def size_limits(task: Task, name: str) -> tuple[float, float]:
     return _LEAST * spread, _MOST * spread
 
 
-def drop_inapplicable_forces(task: Task, noise: NoiseModel) -> NoiseModel:
+def drop_inapplicable_forces(task: FilterInput, noise: NoiseModel) -> NoiseModel:
     """The noise without forces on states that a model does not have.
 
     An effect that is dropped from the model takes its own states with it.
@@ -187,7 +187,7 @@ class NoiseMatrices:
     driven: Array
 
 
-def noise_matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> NoiseMatrices:
+def noise_matrices(task: FilterInput, settings: FilterSettings, noise: NoiseModel) -> NoiseMatrices:
     """The noise of one record as matrices."""
     n, channels = len(task.states), task.compiled.traced.channels
     white = [noise.values.get(f"white.{c}", 0.0) for c in channels]
@@ -215,13 +215,13 @@ def noise_matrices(task: Task, settings: FilterSettings, noise: NoiseModel) -> N
     return NoiseMatrices(np.array(white) ** 2, whole, start, phi, seen, driven)
 
 
-def state_offsets(task: Task, noise: NoiseModel) -> dict[str, int]:
+def state_offsets(task: FilterInput, noise: NoiseModel) -> dict[str, int]:
     """By size of a term: the first of its states, counted from the first of all terms' states."""
     counts = [sum(len(b.phi) for b in _term_blocks(task, t, noise.values)) for t in noise.terms]
     return {t.size: sum(counts[:i]) for i, t in enumerate(noise.terms)}
 
 
-def sensor_autocovariance(task: Task, noise: NoiseModel, channel: str, lags: int) -> Array:
+def sensor_autocovariance(task: FilterInput, noise: NoiseModel, channel: str, lags: int) -> Array:
     """(lags,) autocovariance of a sensor's stationary noise, lags of 0, 1, ... samples."""
     whole = np.zeros(lags)
     whole[0] = noise.values.get(f"white.{channel}", 0.0) ** 2
@@ -247,7 +247,7 @@ class _Block:
     state: int = -1
 
 
-def _term_blocks(task: Task, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
+def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
     dt, size = task.series.dt, values[term.size]
     if term.kind == "force":
         at_once = np.flatnonzero(task.felt.any(axis=0))

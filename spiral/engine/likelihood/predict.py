@@ -16,16 +16,13 @@ from typing import TypeVar
 import numpy as np
 
 from spiral.engine.filter.algebra import compiled_algebra
-from spiral.engine.filter.extended import FilterSettings, tracked_indices
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.extended import FilterInputs, FilterSettings, tracked_indices
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, noise_matrices
 from spiral.engine.series import Series
 from spiral.engine.threads import THREADS
 from spiral.physics.flow import Flow, compile_flow
 from spiral.types.record import Array
-
-Prepared = tuple[tuple[Task, FilterSettings], ...]
-"""For each record of one machine: its task, and settings without process noise."""
 
 RUNAWAY = -1e300
 Job = TypeVar("Job")
@@ -40,8 +37,9 @@ class Prediction:
     measured; ``slopes`` (samples, channels, parameters) of the predictions. Where they were asked
     for, ``means`` (samples, N) of states, tracked parameters and noise states after each sample,
     ``gains`` K and ``rows`` c (samples, channels, N), and ``transitions`` F (samples, N, N).
-    ``volume`` is what the first sample's likelihood has of a filter that begins in a small part of
-    where records of the machine may begin (``FilterSettings``), as if it began anywhere.
+    ``volume`` is 1/2 log(|P'| / |P|) of ``FilterSettings``, added to the first sample's
+    log-likelihood: so a filter with a narrowed initial covariance P' compares with one that begins
+    with the machine's own P (Laplace).
     """
 
     misses: Array
@@ -93,7 +91,7 @@ class Prediction:
 
 
 def predict_readings(
-    task: Task, settings: FilterSettings, noise: NoiseModel, keys: Sequence[str] = (),
+    task: FilterInput, settings: FilterSettings, noise: NoiseModel, keys: Sequence[str] = (),
     keep: bool = False, carry: bool = False,
 ) -> Prediction:  # fmt: skip
     """Predict a record, with slopes by ``keys``; ``keep`` means, gains, rows, ``carry`` F too."""
@@ -130,14 +128,14 @@ def _white_variances(variance: Array, series: Series) -> Array:
     return variance[None, :] if series.grown is None else variance * series.grown
 
 
-def _task_flow(task: Task, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
+def _task_flow(task: FilterInput, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
     """The flow of a task with slopes by tracked parameters and these; one for all that it moves."""
     moved = task.moved if task.moved[: len(keys)] == keys else keys
     return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
 
 
 def vary_noise(
-    task: Task, settings: FilterSettings, noise: NoiseModel, others: Sequence[NoiseModel],
+    task: FilterInput, settings: FilterSettings, noise: NoiseModel, others: Sequence[NoiseModel],
     run: Prediction,
 ) -> list[tuple[Array, Array]]:  # fmt: skip
     """Innovations and variances of one record under another noise model, along a filtered motion.
@@ -165,12 +163,12 @@ def vary_noise(
 
 
 def predict_cases(
-    cases: Sequence[tuple[Prepared, NoiseModel]], keys: Sequence[str] = (), keep: bool = False
+    cases: Sequence[tuple[FilterInputs, NoiseModel]], keys: Sequence[str] = (), keep: bool = False
 ) -> list[tuple[Prediction, ...]]:
     """Every record of every case; cases run side by side, and know nothing of one another."""
     jobs = [(task, settings, noise) for prepared, noise in cases for task, settings in prepared]
 
-    def predict_job(job: tuple[Task, FilterSettings, NoiseModel]) -> Prediction:
+    def predict_job(job: tuple[FilterInput, FilterSettings, NoiseModel]) -> Prediction:
         return predict_readings(*job, keys, keep)
 
     flat, grouped, at = run_in_threads(predict_job, jobs), [], 0
@@ -204,6 +202,6 @@ def log_likelihood(parts: Sequence[Prediction], masks: Masks = None) -> float:
     return total if np.isfinite(total) else RUNAWAY
 
 
-def total_log_likelihood(prepared: Prepared, noise: NoiseModel) -> float:
+def total_log_likelihood(prepared: FilterInputs, noise: NoiseModel) -> float:
     """Log-likelihood of all samples at the values and the noise that are given."""
     return log_likelihood(predict_cases([(prepared, noise)])[0])

@@ -1,4 +1,7 @@
-"""From a problem to one compiled study: the model, all candidates, and their variants.
+"""From a problem to one study with its compiled model.
+
+``strategy=shooting`` compiles all candidates with it; ``strategy=likelihood`` compiles only the
+effects in the model and keeps its candidates uncompiled.
 
 A candidate with a shape parameter is compiled once for each value of its grid; a candidate that
 turns with the phase but has no direction of its own (an unbalance), while the model knows no phase
@@ -60,13 +63,16 @@ class Variant:
 
 @dataclass(frozen=True)
 class Assembly:
-    """A problem with its compiled model (``study``) and the variants of its candidates.
+    """The problem with its compiled model (``study``).
+
+    ``strategy=shooting`` compiles all candidates (``variants``); ``strategy=likelihood`` compiles
+    only the effects in the model (``bare``) and keeps the candidates uncompiled in ``offered``,
+    where they are scored by their signatures.
 
     ``left_out`` are candidates that these records cannot be asked about, and why; ``kept`` is what
-    the strategy keeps with it, of a type of its own. A ``bare`` study
-    compiles only what its state holds; the variants ``offered`` beside it are scored by their
-    signatures. ``expected`` are the states (samples, n) along each record that a fit's filter
-    expects, from which candidates have the scales of their shapes.
+    the strategy keeps with it, of a type of its own. ``expected`` are the states (samples, n)
+    along each record that a fit's filter expects, from which candidates have the scales of their
+    shapes.
     """
 
     problem: Problem
@@ -95,9 +101,9 @@ def assemble(problem: Problem, substeps: int = 1, more: tuple[Variant, ...] = ()
     """Trace and compile the model with all variants of all candidates, and prepare the records.
 
     Candidates with states of their own wait for their round; ``more`` are variants of such, with
-    their shapes (``spiral.inference.strategies.resonances``). Candidates that are no numbers along
-    the records are left out, by name: compiled in with the others they would make no numbers of
-    all.
+    their shapes (``spiral.inference.strategies.shooting.resonances``). Candidates that are no
+    numbers along the records are left out, by name: compiled in with the others they would make no
+    numbers of all.
     """
     waiting = tuple(c for c in problem.candidates if c.states)
     variants, left_out, states = build_variants(problem, waiting)

@@ -25,13 +25,13 @@ from spiral.inference.evidence.fit_state import (
     fit_growing_windows,
     initial_fit_state,
 )
-from spiral.inference.evidence.horizons import errors_on_unseen_records
-from spiral.inference.evidence.judge import (
+from spiral.inference.evidence.free_run import (
     FreeRun,
     fit_whole_records,
     free_run_from_stage,
     settled_free_run,
 )
+from spiral.inference.evidence.horizons import errors_on_unseen_records
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
 from spiral.types.model import Model

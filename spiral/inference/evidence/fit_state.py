@@ -30,17 +30,26 @@ Masks = tuple[Array | None, ...]
 
 @dataclass(frozen=True)
 class FitState:
-    """State of a fit: active effects (compiled labels), parameter values, freed shapes.
+    """State of a fit: what is active, and every value of it.
 
-    ``held`` are amplitudes of active effects that stay at zero, not admitted themselves;
-    ``shortest`` the shortest windows of later fits: those on which an effect was found from afar,
-    or one with own states, which short windows would begin anew too often. ``free_from`` is the
-    longest windows on which shapes were set free. ``noise`` is what acts at random, and
-    ``substeps`` the integration steps per sample, where the evidence is a likelihood; ``starts``
-    (states,) where each record begins, as all of it tells, and ``spreads`` (states,) within what
-    the filter then looks for it (nan: as of any record). ``between`` says how inputs run between
-    their samples where the likelihood prefers another way than their system's. ``settle`` are the
-    seconds of each test record that tell where it begins, the same for all models of a study.
+    Fields
+    ------
+    labels : compiled labels of the active effects.
+    values : (records, parameters) of the compiled study.
+    freed : shapes that are fitted as well.
+    corrected : whether the phase corrections of the records are fitted as well.
+    held : amplitudes of active effects that stay at zero, since they were not admitted themselves.
+    shortest : the shortest windows of later fits, samples. Longer where an effect was found from
+        afar, or has own states, which short windows would begin anew too often.
+    free_from : the longest windows on which shapes were set free, samples.
+    noise : what acts at random, where the evidence is a likelihood.
+    substeps : integration steps per sample, where the evidence is a likelihood.
+    starts : (states,) by record, its initial state as all of the record tells it.
+    spreads : (states,) by record, standard deviation around it that the filter begins with (nan: as
+        for any record).
+    between : how inputs run between their samples, where the likelihood prefers another way than
+        their system's.
+    settle : seconds of each test record that fix its initial state, the same for all models.
     """
 
     labels: tuple[str, ...]

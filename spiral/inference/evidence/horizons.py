@@ -26,12 +26,12 @@ import numpy as np
 from spiral.engine.filter.extended import FilterSettings, filter_record, tracked_indices
 from spiral.engine.filter.noise import noise_intensity, sampled_covariance
 from spiral.engine.filter.setup import choose_levels, prepare_filter
-from spiral.engine.filter.task import Task, build_task
+from spiral.engine.filter.task import FilterInput, build_task
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series
 from spiral.engine.study import ORIGIN
 from spiral.inference.evidence.assembly import Assembly, nuisance_keys
-from spiral.inference.evidence.judge import FreeRun
+from spiral.inference.evidence.free_run import FreeRun
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
@@ -58,7 +58,7 @@ class FilterNoise:
     tracked: tuple[str, ...]
 
 
-Forecaster = Callable[[int, Task, int, int], tuple[Array, Array]]
+Forecaster = Callable[[int, FilterInput, int, int], tuple[Array, Array]]
 """(record, task, first sample, samples ahead) -> what predictions miss, as ``forecast_misses``."""
 
 
@@ -77,7 +77,7 @@ def errors_on_unseen_records(
     """
     disturbed = process_noise(fitted, model, labels, values)
 
-    def forecaster(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
+    def forecaster(record: int, task: FilterInput, first: int, steps: int) -> tuple[Array, Array]:
         return forecast_misses(task, disturbed, first, steps)
 
     return errors_at_horizons(test, model, run, forecaster)
@@ -139,8 +139,8 @@ def process_noise(
 
 def filter_task(
     assembly: Assembly, model: Model, row: Array, record: Record, substeps: int,
-    like: Task | None = None,
-) -> Task:  # fmt: skip
+    like: FilterInput | None = None,
+) -> FilterInput:  # fmt: skip
     """A record's filter task, from functions already compiled; its scales are those of ``like``."""
     compiled = assembly.study.compiled
     own = np.ascontiguousarray(row[: len(compiled.traced.keys)], dtype=float).copy()
@@ -148,7 +148,7 @@ def filter_task(
 
 
 def forecast_misses(
-    task: Task, disturbed: FilterNoise, first: int, steps: int
+    task: FilterInput, disturbed: FilterNoise, first: int, steps: int
 ) -> tuple[Array, Array]:
     """What predictions miss, from sample ``first`` on.
 
@@ -171,7 +171,7 @@ def forecast_misses(
 
 
 def misses_ahead(
-    task: Task, settings: FilterSettings, means: Array, first: int, steps: int
+    task: FilterInput, settings: FilterSettings, means: Array, first: int, steps: int
 ) -> Array:
     """(starts, channels) y(t + h) - h(phi_h(x^(t | t)))."""
     series, n = task.series, len(task.states)

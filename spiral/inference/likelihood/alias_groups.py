@@ -32,7 +32,7 @@ def log_likelihood_lead(first: Rival, other: Rival) -> float:
 
 
 def _log_likelihood_of(rival: Rival) -> float:
-    return log_likelihood(rival.fit.estimate.parts)
+    return log_likelihood(rival.fit.estimate.predictions)
 
 
 def _rival_penalty(rival: Rival) -> float:

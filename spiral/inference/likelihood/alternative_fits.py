@@ -41,9 +41,9 @@ from spiral.inference.likelihood.fitting import (
     prepare_filter_tasks,
     with_estimate,
 )
-from spiral.inference.likelihood.ladder import select_noise_model
+from spiral.inference.likelihood.noise_selection import select_noise_model
 from spiral.inference.likelihood.scores import rank_candidates
-from spiral.inference.likelihood.starts import far_from_given, sensor_noise_only
+from spiral.inference.likelihood.seed_fit import far_from_given, sensor_noise_only
 from spiral.inference.problem import Progress
 from spiral.types.noise import COLOURED
 
@@ -84,8 +84,9 @@ def rivals_beside_less_noise(
             rivals.append(_refit_rival_noise(base, best, masks, progress))
     if not is_random_force_small(base):
         progress("trying candidates beside sensor noise alone")
-        deaf = fit_by_likelihood(assembly, base.state, sensor_noise_only(base), masks, WARM, True)
-        own = _rivals_from_fit(assembly, base, deaf, masks)
+        sensor_noise = sensor_noise_only(base)
+        start = fit_by_likelihood(assembly, base.state, sensor_noise, masks, WARM, True)
+        own = _rivals_from_fit(assembly, base, start, masks)
         rivals += [_with_base_noise_terms(base, r, masks) for r in own]
     return rivals
 

@@ -25,7 +25,6 @@ from spiral.inference.evidence.enlarge import transfer_fit_state as carried_to
 from spiral.inference.evidence.enlarge import with_variants
 from spiral.inference.evidence.fit_state import FitState, has_two_sided_bounds
 from spiral.inference.evidence.scoring import RankedCandidate, active_labels, amplitude_keys
-from spiral.inference.likelihood.beginnings import narrow_initial_states
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     LikelihoodFit,
@@ -36,6 +35,7 @@ from spiral.inference.likelihood.fitting import (
     schwarz_penalty,
     with_tracked_values,
 )
+from spiral.inference.likelihood.initial_states import narrow_initial_states
 from spiral.inference.likelihood.shapes import refit_effect_shapes
 from spiral.inference.problem import Progress
 from spiral.types.label import make_label, owner_of

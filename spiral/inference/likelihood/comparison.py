@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import Task, state_jacobian
-from spiral.engine.likelihood.fit import Maximum
+from spiral.engine.filter.task import FilterInput, state_jacobian
+from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.free_uncertainty import free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
@@ -25,6 +25,7 @@ from spiral.inference.disturbances import input_sentences
 from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.comparison import settling_seconds, with_test_records
 from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.free_run import FreeRun
 from spiral.inference.evidence.horizons import (
     Forecaster,
     errors_at_horizons,
@@ -32,8 +33,6 @@ from spiral.inference.evidence.horizons import (
     misses_ahead,
     tracked_deviations,
 )
-from spiral.inference.evidence.judge import FreeRun
-from spiral.inference.likelihood.beginnings import set_likely_initial_state
 from spiral.inference.likelihood.departures import describe_departures, far_value_sentences
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -43,8 +42,13 @@ from spiral.inference.likelihood.fitting import (
     with_tracked_values,
 )
 from spiral.inference.likelihood.free_fit import FREE_RUN_VALUES_NOTE, refit_by_free_run
-from spiral.inference.likelihood.free_starts import free_runs, mean_hidden_states, tracked_nuisances
+from spiral.inference.likelihood.free_run_starts import (
+    free_runs,
+    mean_hidden_states,
+    tracked_nuisances,
+)
 from spiral.inference.likelihood.independence import motion_explained_share
+from spiral.inference.likelihood.initial_states import set_likely_initial_state
 from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
@@ -123,14 +127,14 @@ def _noise_and_residual_fields(
     }
 
 
-def _fitted_model(assembly: Assembly, state: FitState, estimate: Maximum) -> Model:
+def _fitted_model(assembly: Assembly, state: FitState, estimate: MaximumLikelihood) -> Model:
     """The model of a state, with the standard errors of an estimate."""
     errors = estimate.errors
     return to_model(assembly, state.labels, state.values, errors, state.freed, state.held)
 
 
 def _test_run(
-    other: Assembly, state: FitState, model: Model, estimate: Maximum
+    other: Assembly, state: FitState, model: Model, estimate: MaximumLikelihood
 ) -> tuple[FreeRun, tuple[Array, ...], tuple[Horizon, ...]]:
     """The free run on the test records, its initial states, and errors at all horizons."""
     run, starts = free_runs(other, state, model, state.settle, mean_hidden_states(estimate))
@@ -160,8 +164,8 @@ class _FreeRunTolerance:
 
 
 def _free_run_uncertainty(
-    other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...], estimate: Maximum,
-    noise: NoiseModel,
+    other: Assembly, model: Model, run: FreeRun, starts: tuple[Array, ...],
+    estimate: MaximumLikelihood, noise: NoiseModel,
 ) -> _FreeRunTolerance:  # fmt: skip
     """The uncertainty of the free runs ``run``, one for each record of a study, from ``starts``.
 
@@ -203,7 +207,7 @@ def _residual_statistics(assembly: Assembly, fit: LikelihoodFit) -> tuple[dict[s
     return told | {"followed": motion_explained_share(fit)}, white
 
 
-def _settling_time(other: Assembly, known: float | None, task: Task) -> float:
+def _settling_time(other: Assembly, known: float | None, task: FilterInput) -> float:
     """Seconds of each test record from which its initial state is estimated.
 
     Those known, or asked for, else a tenth of the shortest record, or three periods of the model's
@@ -223,7 +227,7 @@ def _settling_time(other: Assembly, known: float | None, task: Task) -> float:
 
 
 def reportable_noise(
-    estimate: Maximum, disturbed: float
+    estimate: MaximumLikelihood, disturbed: float
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Sizes of the noise beside white measurement noise that matter and are determined; its times.
 
@@ -253,7 +257,7 @@ def reportable_noise(
     return sizes, times
 
 
-def _slow_noise_excursions(estimate: Maximum) -> dict[str, float]:
+def _slow_noise_excursions(estimate: MaximumLikelihood) -> dict[str, float]:
     """How far slow noise of a sensor moves over the records, by the name of its size.
 
     A drift from where it was at first: one that drifts steadily goes further than one that wanders
@@ -282,7 +286,10 @@ def _slow_noise_excursions(estimate: Maximum) -> dict[str, float]:
 
 
 def _make_forecaster(
-    state: FitState, tracked: tuple[str, ...], starts: tuple[Array, ...], estimate: Maximum
+    state: FitState,
+    tracked: tuple[str, ...],
+    starts: tuple[Array, ...],
+    estimate: MaximumLikelihood,
 ) -> Forecaster:
     """A forecaster: the filter with the noise of a fit, started from where free runs start.
 
@@ -294,7 +301,7 @@ def _make_forecaster(
     values, errors = estimate.values, estimate.errors
     told = {k: e for k, e in errors.items() if 0 < e < abs(values[k])}
 
-    def forecast(record: int, task: Task, first: int, steps: int) -> tuple[Array, Array]:
+    def forecast(record: int, task: FilterInput, first: int, steps: int) -> tuple[Array, Array]:
         if begins := bool(np.all(np.isfinite(starts[record]))):
             task = replace(task, start=starts[record][0].copy())
             task = task if tracked else set_likely_initial_state(task, noise)
@@ -313,7 +320,7 @@ def _make_forecaster(
 
 
 def _relative_noise_floor(
-    estimate: Maximum, names: Sequence[str], run: FreeRun, judging: Assembly
+    estimate: MaximumLikelihood, names: Sequence[str], run: FreeRun, judging: Assembly
 ) -> float:
     """Measurement noise over the deviation of each channel, mean over channels.
 
@@ -358,7 +365,7 @@ def _declared_noise_ratio(records: Sequence[Record], noise: NoiseModel | None) -
     return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 
-def _innovation_share(estimate: Maximum) -> float:
+def _innovation_share(estimate: MaximumLikelihood) -> float:
     """Variance of the misses over that of the sensors' noise, mean over channels, at most 1.
 
     Coloured noise that its own past predicts leaves small misses: what is left of its colour in
@@ -367,7 +374,7 @@ def _innovation_share(estimate: Maximum) -> float:
     task, noise = estimate.prepared[0][0], estimate.noise
     shares = []
     for j, name in enumerate(task.compiled.traced.channels):
-        misses = np.concatenate([p.misses[:, j] for p in estimate.parts])
+        misses = np.concatenate([p.misses[:, j] for p in estimate.predictions])
         size = sum(noise.values.get(f"{k}.{name}", 0.0) ** 2 for k in _SENSORS)
         shares.append(float(np.mean(misses**2)) / size if size > 0 else 1.0)
     return min(_mean(shares), 1.0)

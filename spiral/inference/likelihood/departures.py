@@ -22,7 +22,7 @@ from scipy import special
 
 from spiral.engine.filter.noise import driven_states
 from spiral.engine.leastsquares import least_squares
-from spiral.engine.likelihood.fit import Maximum
+from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.score import residual_block_samples
 from spiral.types.formatting import number, percent
 from spiral.types.label import without_variant
@@ -41,7 +41,7 @@ _FEWEST = 64  # samples
 
 
 def describe_departures(
-    model: Model, estimate: Maximum, white: bool, random: Iterable[str]
+    model: Model, estimate: MaximumLikelihood, white: bool, random: Iterable[str]
 ) -> tuple[str, ...]:
     """Sentences on how the records depart from a model's fit, remarks of its effects first.
 
@@ -49,7 +49,7 @@ def describe_departures(
     ----------
     white : whether its misses are. random : what acts at random, by name.
     """
-    samples = sum(len(p.misses) for p in estimate.parts)
+    samples = sum(len(p.misses) for p in estimate.predictions)
     if not estimate.finite or samples < _FEWEST:
         return ()
     shapes = _noise_shape_remarks(estimate) if white else ()
@@ -62,7 +62,7 @@ def describe_departures(
     )
 
 
-def far_value_sentences(estimate: Maximum, given: Mapping[str, float]) -> tuple[str, ...]:
+def far_value_sentences(estimate: MaximumLikelihood, given: Mapping[str, float]) -> tuple[str, ...]:
     """Sentences on values that ended more than ``_FAR`` times off those given.
 
     A fit that lacks something makes up for it with whatever is free: a mass of 1.5 kg became 5 g.
@@ -78,7 +78,7 @@ def far_value_sentences(estimate: Maximum, given: Mapping[str, float]) -> tuple[
     return tuple(said)
 
 
-def _effect_remarks(model: Model, estimate: Maximum) -> Iterator[str]:
+def _effect_remarks(model: Model, estimate: MaximumLikelihood) -> Iterator[str]:
     step, table = estimate.prepared[0][0].series.dt, model.estimates()
     for effect in model.effects:
         values = {k: v.estimate for k, v in table.get(effect.label, {}).items()}
@@ -86,7 +86,7 @@ def _effect_remarks(model: Model, estimate: Maximum) -> Iterator[str]:
             yield f"{effect.label}: {said}"
 
 
-def _noisy_input_remark(estimate: Maximum, random: Iterable[str]) -> tuple[str, ...]:
+def _noisy_input_remark(estimate: MaximumLikelihood, random: Iterable[str]) -> tuple[str, ...]:
     """A sentence naming inputs whose noise would act on the machine like its random force."""
     task = estimate.prepared[0][0]
     traced = task.compiled.traced
@@ -103,15 +103,15 @@ def _noisy_input_remark(estimate: Maximum, random: Iterable[str]) -> tuple[str, 
     return (f"noise in the measured {many} {', '.join(names)} would look like that random force",)
 
 
-def drifting_parameters(estimate: Maximum) -> dict[str, float]:
+def drifting_parameters(estimate: MaximumLikelihood) -> dict[str, float]:
     """Change over the record, as a share of their values, of parameters that clearly drift."""
     drifts = _clear_drifts(estimate)
     return {k: d.change / abs(estimate.values[k]) for k, d in drifts.items()}
 
 
-def _clear_drifts(estimate: Maximum) -> dict[str, _Drift]:
+def _clear_drifts(estimate: MaximumLikelihood) -> dict[str, _Drift]:
     """Parameters whose drift is told from none, and counts beside their values."""
-    parts, keys, values = estimate.parts, estimate.keys, estimate.values
+    parts, keys, values = estimate.predictions, estimate.keys, estimate.values
     if not keys:
         return {}
     x = np.concatenate([p.columns.reshape(-1, len(keys)) for p in parts])
@@ -130,7 +130,7 @@ def _clear_drifts(estimate: Maximum) -> dict[str, _Drift]:
             if d.ratio**2 > _TOLD and abs(d.change) > _COUNTS * abs(values[k])}  # fmt: skip
 
 
-def _drift_remark(estimate: Maximum) -> tuple[str, ...]:
+def _drift_remark(estimate: MaximumLikelihood) -> tuple[str, ...]:
     """A sentence on the parameter that drifts most clearly, and those that look alike."""
     told, values = _clear_drifts(estimate), estimate.values
     if not told:
@@ -173,7 +173,7 @@ def _estimate_drift(e: Array, column: Array, beyond: Array, width: int) -> _Drif
     return _Drift(change, change**2 * energy, ratio)
 
 
-def _noise_shape_remarks(estimate: Maximum) -> tuple[str, ...]:
+def _noise_shape_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
     """Sentences on channels whose noise grows with its reading or has heavy tails."""
     channels = estimate.prepared[0][0].compiled.traced.channels
     told = []
@@ -217,7 +217,7 @@ def _describe_noise_growth(growth: tuple[float, float, bool], h: Array) -> str:
     return f"its reading, {times}-fold over the middle 90 % of its values"
 
 
-def _noise_weighting_remarks(estimate: Maximum) -> Iterator[str]:
+def _noise_weighting_remarks(estimate: MaximumLikelihood) -> Iterator[str]:
     """Sentences on noise that grows with its reading, where the fit is weighted accordingly."""
     task = estimate.prepared[0][0]
     for j, name in enumerate(task.compiled.traced.channels):
@@ -230,10 +230,10 @@ def _noise_weighting_remarks(estimate: Maximum) -> Iterator[str]:
             )
 
 
-def noise_growth_by_channel(estimate: Maximum) -> dict[str, tuple[float, float, float]]:
+def noise_growth_by_channel(estimate: MaximumLikelihood) -> dict[str, tuple[float, float, float]]:
     """c, h, m by channel whose noise variance grows by (1 + ((y - c) / h)^2) / m."""
     by_channel: dict[str, tuple[float, float, float]] = {}
-    samples = sum(len(p.misses) for p in estimate.parts)
+    samples = sum(len(p.misses) for p in estimate.predictions)
     if not estimate.finite or samples < _FEWEST:
         return by_channel
     for j, name in enumerate(estimate.prepared[0][0].compiled.traced.channels):
@@ -259,10 +259,10 @@ def _outlier_share(e: Array) -> str:
     return f"{percent(float(np.mean(np.abs(e) > 4 * e.std())))} of its readings"
 
 
-def _channel_innovations(estimate: Maximum, j: int) -> tuple[Array, Array, float]:
+def _channel_innovations(estimate: MaximumLikelihood, j: int) -> tuple[Array, Array, float]:
     """Misses of a channel, its predictions from their mean over their deviation, and that mean."""
     misses, readings, means = [], [], []
-    for (task, _), part in zip(estimate.prepared, estimate.parts, strict=True):
+    for (task, _), part in zip(estimate.prepared, estimate.predictions, strict=True):
         seen = part.spreads[:, j] > 0
         reading = task.series.y[seen, j] - part.misses[seen, j]
         spread = float(reading.std()) if seen.any() else 0.0

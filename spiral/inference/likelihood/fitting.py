@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import build_task, state_jacobian, with_start_spread
-from spiral.engine.likelihood.fit import Maximum, SlopeCache, maximise_likelihood
+from spiral.engine.likelihood.fit import MaximumLikelihood, SlopeCache, maximise_likelihood
 from spiral.engine.likelihood.noise import (
     NoiseModel,
     drop_inapplicable_forces,
@@ -16,8 +16,8 @@ from spiral.engine.likelihood.noise import (
     size_limits,
 )
 from spiral.engine.likelihood.predict import (
+    FilterInputs,
     Masks,
-    Prepared,
     predict_readings,
 )
 from spiral.engine.series import steps_per_sample
@@ -45,7 +45,7 @@ class LikelihoodFit:
     """A maximum-likelihood fit: the study's state at the maximum, and the maximum itself."""
 
     state: FitState
-    estimate: Maximum
+    estimate: MaximumLikelihood
 
     @property
     def log_likelihood(self) -> float:
@@ -107,8 +107,8 @@ def parameter_bounds(
 
 
 def prepare_filter_tasks(
-    assembly: Assembly, state: FitState, like: Prepared | None = None
-) -> Prepared:
+    assembly: Assembly, state: FitState, like: FilterInputs | None = None
+) -> FilterInputs:
     """A filter task for every record, with the state's values and integration steps.
 
     ``like`` : tasks whose scales of the states are taken, so that sizes of the noise mean the same.
@@ -169,7 +169,7 @@ def fit_by_likelihood(
     rough: bool = False,
     kept: SlopeCache | None = None,
     differences: bool = True,
-    like: Prepared | None = None,
+    like: FilterInputs | None = None,
     least: float = -np.inf,
 ) -> LikelihoodFit:
     """The maximum-likelihood values of a state's parameters and of its noise model.
@@ -195,7 +195,7 @@ def fit_by_likelihood(
     return LikelihoodFit(with_estimate(state, estimate), estimate)
 
 
-def with_estimate(state: FitState, estimate: Maximum) -> FitState:
+def with_estimate(state: FitState, estimate: MaximumLikelihood) -> FitState:
     """The state with an estimate's values and noise."""
     values = state.values.copy()
     for row, (task, _) in zip(values, estimate.prepared, strict=True):
@@ -236,10 +236,10 @@ def restart_vanished_noise(
     return again if again.log_likelihood > fit.log_likelihood else fit
 
 
-def _vanished_noise_sizes(at: Maximum) -> dict[str, float]:
+def _vanished_noise_sizes(at: MaximumLikelihood) -> dict[str, float]:
     """Sizes to start again from, of white noise and white forces that have vanished."""
     task = at.prepared[0][0]
-    rms = np.sqrt(np.mean(np.concatenate([p.misses for p in at.parts]) ** 2, axis=0))
+    rms = np.sqrt(np.mean(np.concatenate([p.misses for p in at.predictions]) ** 2, axis=0))
     missed = dict(zip(task.compiled.traced.channels, rms, strict=True))
     sizes = {}
     for term in at.noise.terms:
@@ -304,7 +304,7 @@ def has_still_state(fit: LikelihoodFit, label: str) -> bool:
 
 def innovations(fit: LikelihoodFit) -> tuple[Array, ...]:
     """Whitened innovations (samples, channels) of every record."""
-    return tuple(p.whitened for p in fit.estimate.parts)
+    return tuple(p.whitened for p in fit.estimate.predictions)
 
 
 def innovation_whiteness(assembly: Assembly, fit: LikelihoodFit) -> Whiteness:
@@ -317,11 +317,11 @@ def is_white(assembly: Assembly, fit: LikelihoodFit) -> bool:
     return innovation_whiteness(assembly, fit).p >= assembly.problem.settings.whiteness_level
 
 
-def schwarz_penalty(parameters: int, prepared: Prepared) -> float:
+def schwarz_penalty(parameters: int, prepared: FilterInputs) -> float:
     """Schwarz's penalty of q parameters in log-likelihood: q / 2 log N, with N readings."""
     return 0.5 * parameters * float(np.log(reading_count(prepared)))
 
 
-def reading_count(prepared: Prepared) -> int:
+def reading_count(prepared: FilterInputs) -> int:
     """The number N of readings in all records."""
     return sum(task.series.y.size for task, _ in prepared)

@@ -23,7 +23,7 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.likelihood.predict import Masks, Prepared, predict_cases
+from spiral.engine.likelihood.predict import FilterInputs, Masks, predict_cases
 from spiral.engine.windows import halves
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
@@ -32,7 +32,7 @@ from spiral.inference.likelihood.fitting import (
     is_random_force_small,
     with_estimate,
 )
-from spiral.inference.likelihood.starts import sensor_noise_only
+from spiral.inference.likelihood.seed_fit import sensor_noise_only
 from spiral.inference.problem import Progress
 
 FREE_RUN_VALUES_NOTE = (
@@ -56,10 +56,10 @@ def refit_by_free_run(
     if not fit.estimate.finite or is_random_force_small(fit) or not fit.estimate.keys:
         return fit
     progress("fitting values that minimise the free-run error")
-    deaf = sensor_noise_only(fit)
-    deaf = deaf.select_terms(t for t in deaf.terms if t.kind == "white")
-    free = fit_by_likelihood(assembly, fit.state, deaf, rough=True, like=fit.estimate.prepared)
-    ours, theirs = (_mean_free_run_error(f, deaf, None) for f in (fit, free))
+    noise, like = sensor_noise_only(fit), fit.estimate.prepared
+    white_noise_only = noise.select_terms(t for t in noise.terms if t.kind == "white")
+    free = fit_by_likelihood(assembly, fit.state, white_noise_only, rough=True, like=like)
+    ours, theirs = (_mean_free_run_error(f, white_noise_only, None) for f in (fit, free))
     if not theirs < _BETTER * ours:
         return fit
     if not halves_agree:
@@ -69,25 +69,25 @@ def refit_by_free_run(
         stepwise = fit_by_likelihood(
             assembly, fit.state, masks=fitted, rough=True, kept=fit.estimate.kept
         )
-        freely = fit_by_likelihood(assembly, free.state, deaf, fitted, rough=True)
-        ours += _mean_free_run_error(stepwise, deaf, other) ** 2
-        theirs += _mean_free_run_error(freely, deaf, other) ** 2
+        freely = fit_by_likelihood(assembly, free.state, white_noise_only, fitted, rough=True)
+        ours += _mean_free_run_error(stepwise, white_noise_only, other) ** 2
+        theirs += _mean_free_run_error(freely, white_noise_only, other) ** 2
     if not theirs < ours:
         return fit
     return _with_noise_terms_of(assembly, free, fit)
 
 
-def _record_halves(prepared: Prepared) -> tuple[Masks, Masks]:
+def _record_halves(prepared: FilterInputs) -> tuple[Masks, Masks]:
     """The first half of every record, and the second."""
     counts = [task.series.samples for task, _ in prepared]
     first, second = zip(*(halves(n, (n + 1) // 2) for n in counts), strict=True)
     return first, second
 
 
-def _mean_free_run_error(fit: LikelihoodFit, deaf: NoiseModel, masks: Masks) -> float:
+def _mean_free_run_error(fit: LikelihoodFit, white_noise_only: NoiseModel, masks: Masks) -> float:
     """Free-run error of a fit, rms over each channel's deviation, mean over channels."""
     prepared = fit.estimate.prepared
-    parts = predict_cases([(prepared, deaf)])[0]
+    parts = predict_cases([(prepared, white_noise_only)])[0]
     if not all(p.whole for p in parts):
         return np.inf
     total, count = 0.0, 0
@@ -106,7 +106,7 @@ def _with_noise_terms_of(
     noisy = maximise_likelihood(free.estimate.prepared, (), fit.estimate.noise, rough=True)
     parts = predict_cases([(noisy.prepared, noisy.noise)], keys, keep=True)[0]
     estimate = replace(
-        noisy, keys=keys, parts=parts, solved=known.solved, sizes=known.sizes,
+        noisy, keys=keys, predictions=parts, regression=known.regression, sizes=known.sizes,
         widened=known.widened,
     )  # fmt: skip
     return LikelihoodFit(with_estimate(free.state, estimate), estimate)

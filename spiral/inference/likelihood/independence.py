@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.predict import Prediction
 from spiral.inference.likelihood.fitting import LikelihoodFit
@@ -37,7 +37,8 @@ def motion_explained_share(fit: LikelihoodFit) -> float:
     """
     at = fit.estimate
     rows = [
-        _regression_rows(task, part) for (task, _), part in zip(at.prepared, at.parts, strict=True)
+        _regression_rows(task, part)
+        for (task, _), part in zip(at.prepared, at.predictions, strict=True)
     ]
     misses, past, moved = (np.concatenate(x) for x in zip(*rows, strict=True))
     if not len(misses) > _READINGS * (past.shape[1] + moved.shape[1]):
@@ -55,7 +56,7 @@ def _channel_explained_share(miss: Array, past: Array, moved: Array) -> float:
     return max(1.0 - after.rss / before.rss - chance, 0.0) if before.rss > 0 else 0.0
 
 
-def _regression_rows(task: Task, part: Prediction) -> tuple[Array, Array, Array]:
+def _regression_rows(task: FilterInput, part: Prediction) -> tuple[Array, Array, Array]:
     """(samples, ...) misses, their past and what moves, from the sample that has all of it on."""
     first, last = max(_PAST, *_LAGS), len(part.misses)
     names = task.compiled.traced.inputs

@@ -172,5 +172,5 @@ def _is_prediction_changed(assembly: Assembly, fit: LikelihoodFit, other: FitSta
     trial = predict_cases([(prepare_filter_tasks(assembly, other), at.noise)])[0]
     if not all(p.whole for p in trial):
         return True
-    changes = ((t.misses - p.misses) * p.weight for p, t in zip(at.parts, trial, strict=True))
+    changes = ((t.misses - p.misses) * p.weight for p, t in zip(at.predictions, trial, strict=True))
     return sum(float(np.sum(c**2)) for c in changes) > _SHOWN

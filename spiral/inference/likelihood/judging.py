@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from scipy import special
 
-from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
+from spiral.engine.likelihood.fit import MaximumLikelihood, maximise_likelihood
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.candidates import Rival
@@ -23,12 +23,15 @@ _STEPS = 12  # scoring steps, at most
 
 @dataclass(frozen=True)
 class JudgedWinner:
-    """The winner on the blocks that did not select, in log-likelihood.
+    """The winner on the blocks that did not select, against the model as it is.
 
-    ``predicted`` its gain where both models have their values from the blocks that did, the noise
-    of each as these blocks have it; ``refitted`` where both have their most likely values;
-    ``terms`` the parameters that it has beyond
-    the model as it is; ``searched`` among how many values its shapes were looked for.
+    Fields
+    ------
+    predicted : gain in log-likelihood, both with the values that the selecting blocks gave them and
+        the noise as these blocks have it.
+    refitted : gain in log-likelihood, both with their most likely values on these blocks.
+    terms : parameters that it has beyond the model as it is.
+    searched : among how many values its shapes were looked for.
     """
 
     predicted: float
@@ -54,8 +57,8 @@ class JudgingFits:
     The noise is as these blocks have it.
     """
 
-    carried: Maximum
-    refitted: Maximum
+    carried: MaximumLikelihood
+    refitted: MaximumLikelihood
 
 
 def fit_on_judging_blocks(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> JudgingFits:
@@ -86,8 +89,8 @@ def judge_winner(
 
 
 def maximise_on_blocks(
-    at: Maximum, masks: Masks, bounds: Mapping[str, tuple[float, float]]
-) -> Maximum:
+    at: MaximumLikelihood, masks: Masks, bounds: Mapping[str, tuple[float, float]]
+) -> MaximumLikelihood:
     """The maximum on some blocks, from ``at`` on, over noise and the parameters in ``bounds``."""
     return maximise_likelihood(
         at.prepared, tuple(bounds), at.noise, bounds, masks, _STEPS, kept=at.kept

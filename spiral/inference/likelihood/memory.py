@@ -7,8 +7,8 @@ noise, on the blocks that select:
                 that are a few samples late
     past        the same, and a force with memory there: springs that yield, forces that relax
 
-(``spiral.physics.history``). The port is the one where forces with memory score best. Memory is
-reported where the past is significant on the blocks that select (Wilks' test,
+(``spiral.physics.memory_forces``). The port is the one where forces with memory score best. Memory
+is reported where the past is significant on the blocks that select (Wilks' test,
 ``settings.level``) and
 
     log L(past) - log L(present) > log(1 / level)
@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
 from spiral.engine.likelihood.predict import Masks, predict_readings
@@ -42,10 +42,10 @@ from spiral.inference.evidence.enlarge import make_variant, transfer_fit_state, 
 from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood
 from spiral.inference.likelihood.judging import maximise_on_blocks
-from spiral.inference.likelihood.scores import Passage, predicted_motion, rank_variants
+from spiral.inference.likelihood.scores import FilteredRecords, predicted_motion, rank_variants
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.memory import Kind, Loop, Memory
-from spiral.physics.history import (
+from spiral.physics.memory_forces import (
     RELAXING,
     YIELDING,
     LateInput,
@@ -162,7 +162,7 @@ def _is_amplitude_kept(assembly: Assembly, base: LikelihoodFit, wide: _Trial, la
 
 def _count_readings(fit: LikelihoodFit, masks: Masks) -> int:
     """Number of readings within the masked samples, at least one."""
-    rows = [part.spreads > 0 for part in fit.estimate.parts]
+    rows = [part.spreads > 0 for part in fit.estimate.predictions]
     if masks is not None:
         rows = [r if m is None else r[m] for r, m in zip(rows, masks, strict=True)]
     return max(sum(int(r.sum()) for r in rows), 1)
@@ -182,11 +182,11 @@ def _best_memory_force(
     return best.variant if best.score.log_p < np.log(level) else None
 
 
-def _memory_force_variants(passage: Passage) -> list[Variant]:
+def _memory_force_variants(filtered: FilteredRecords) -> list[Variant]:
     """A force with memory at every port that moves, its shapes by the motion there."""
     variants = []
-    for effect in at_every_place(passage.assembly.problem.model.system, RememberedForce()):
-        moved = [port_motion_along(along, effect) for along in passage.motions]
+    for effect in at_every_place(filtered.assembly.problem.model.system, RememberedForce()):
+        moved = [port_motion_along(along, effect) for along in filtered.motions]
         (middle, reach), (drift, pace) = (
             _mean_and_deviation(np.concatenate([m[i] for m in moved])) for i in (0, 1)
         )
@@ -289,7 +289,7 @@ def _forces_along(trial: _Trial, past: Variant, record: int) -> _MissingForces:
     return _MissingForces(position, missing, remembered, 2 * np.pi * time / task.series.dt)
 
 
-def _memory_force_along(task: Task, along: SystemMotion, past: Variant) -> Array:
+def _memory_force_along(task: FilterInput, along: SystemMotion, past: Variant) -> Array:
     """(samples, axes) the force with memory along a motion."""
     effect, values = past.effect, _values_by_key(task)
     axes = along.system.place(effect).axes
@@ -302,7 +302,7 @@ def _memory_force_along(task: Task, along: SystemMotion, past: Variant) -> Array
     return _stack_axes(given, len(along.states))
 
 
-def _values_by_key(task: Task) -> Mapping[str, float]:
+def _values_by_key(task: FilterInput) -> Mapping[str, float]:
     return dict(zip(task.keys, map(float, task.values), strict=True))
 
 
@@ -327,16 +327,16 @@ def _memory_kind(trial: _Trial, past: Variant) -> Kind:
 def _wald_statistic(trial: _Trial, past: Variant, names: Sequence[str]) -> float:
     """Wald's statistic of some amplitudes: b^T V^-1 b."""
     at = trial.fit.estimate
-    assert at.solved is not None
+    assert at.regression is not None
     chosen = [
         i for i, k in enumerate(at.keys)
         if k.startswith(f"{past.label}.by_") and k.rsplit(".by_", 1)[1].startswith(tuple(names))
-        and at.solved.kept[i]
+        and at.regression.kept[i]
     ]  # fmt: skip
     if not chosen:
         return 0.0
     b = np.array([at.values[at.keys[i]] for i in chosen])
-    rows = at.solved.inverse[chosen]
+    rows = at.regression.inverse[chosen]
     return float(b @ np.linalg.pinv(rows @ rows.T) @ b)
 
 

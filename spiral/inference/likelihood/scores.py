@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.leastsquares import triangle
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
@@ -58,12 +58,12 @@ _FINE = (np.linspace(-0.8, 0.8, 5), np.linspace(-0.3, 0.3, 5))  # steps around a
 
 
 @dataclass(frozen=True)
-class Passage:
-    """One pass of the filter over all records, along which candidates are scored."""
+class FilteredRecords:
+    """One pass of the filter over all records; candidates are scored along its predicted motion."""
 
     assembly: Assembly
     active: tuple[str, ...]
-    tasks: tuple[Task, ...]
+    tasks: tuple[FilterInput, ...]
     parts: tuple[Prediction, ...]
     motions: tuple[SystemMotion, ...]
     masks: Masks
@@ -79,10 +79,10 @@ def rank_candidates(
     """
     present = active_labels(assembly, fit.state)
 
-    def absent_variants(passage: Passage) -> list[Variant]:
+    def absent_variants(filtered: FilteredRecords) -> list[Variant]:
         variants = [v for v in assembly.offered if v.original.label not in present]
         for effect in (e for e in assembly.later if e.label not in present):
-            variants += resonance_variants(passage, effect)
+            variants += resonance_variants(filtered, effect)
         return variants
 
     return rank_variants(assembly, fit, noise, masks, absent_variants)
@@ -90,23 +90,23 @@ def rank_candidates(
 
 def rank_variants(
     assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks,
-    offered: Callable[[Passage], Sequence[Variant]], parts: Parts | None = None,
+    offered: Callable[[FilteredRecords], Sequence[Variant]], parts: Parts | None = None,
 ) -> Ranking | None:  # fmt: skip
     """The variants that ``offered`` gives for a pass of the filter, ranked by their score.
 
     ``parts`` as in ``rank_groups``.
     """
-    passage = _run_filter_passage(assembly, fit, noise, masks)
-    if passage is None:
+    filtered = _filter_records(assembly, fit, noise, masks)
+    if filtered is None:
         return None
-    reduction, groups = _regress_variants(passage, offered(passage))
-    first, _ = columns_with_bounds(assembly, passage.active)
-    return rank_groups(reduction, column_owners(assembly, first), groups, passage.block, parts)
+    reduction, groups = _regress_variants(filtered, offered(filtered))
+    first, _ = columns_with_bounds(assembly, filtered.active)
+    return rank_groups(reduction, column_owners(assembly, first), groups, filtered.block, parts)
 
 
-def _run_filter_passage(
+def _filter_records(
     assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks
-) -> Passage | None:
+) -> FilteredRecords | None:
     prepared, active = fit.estimate.prepared, free_parameters(assembly, fit.state)
     with np.errstate(all="ignore"):
         parts = tuple(predict_readings(task, settings, noise, active, carry=True)
@@ -118,44 +118,44 @@ def _run_filter_passage(
     pairs = zip(tasks, parts, strict=True)
     motions = tuple(predicted_motion(assembly, t, p, varied) for t, p in pairs)
     block = residual_block_samples(tuple(p.whitened for p in parts))
-    return Passage(assembly, active, tasks, parts, motions, masks, block)
+    return FilteredRecords(assembly, active, tasks, parts, motions, masks, block)
 
 
 def _regress_variants(
-    passage: Passage, offered: Sequence[Variant], robust: bool = True
+    filtered: FilteredRecords, offered: Sequence[Variant], robust: bool = True
 ) -> tuple[Reduction, list[CandidateColumns]]:
     """The regression of the innovations on all variants with finite slopes, and their groups.
 
     ``robust`` : with the sums over blocks that Wald's test asks for.
     """
-    groups = [_column_group(passage.assembly, v, len(passage.parts)) for v in offered]
+    groups = [_column_group(filtered.assembly, v, len(filtered.parts)) for v in offered]
     with np.errstate(all="ignore"):
-        carried = [_prediction_slopes(passage, r, groups) for r in range(len(passage.parts))]
+        carried = [_prediction_slopes(filtered, r, groups) for r in range(len(filtered.parts))]
         finite = np.all([np.abs(c).max(axis=(0, 1)) < _HUGE for c in carried], axis=0)
     groups, carried = _drop_nonfinite_groups(groups, carried, finite)
-    block = passage.block if robust else 0
-    return _reduce_innovations(passage.parts, carried, passage.masks, block), groups
+    block = filtered.block if robust else 0
+    return _reduce_innovations(filtered.parts, carried, filtered.masks, block), groups
 
 
 # --- effects with states of their own ------------------------------------------------------------
 
 
-def resonance_variants(passage: Passage, effect: Effect) -> list[Variant]:
+def resonance_variants(filtered: FilteredRecords, effect: Effect) -> list[Variant]:
     """Variants of an effect with own states, at the frequencies that explain most."""
-    band = trial_frequencies(effect, max(passage.tasks, key=lambda t: t.series.samples).series)
+    band = trial_frequencies(effect, max(filtered.tasks, key=lambda t: t.series.samples).series)
     near = [frequency_ratio(effect) ** some for some in _FINE]
     usual, others = other_shapes(effect)
     share = _explained_shares(
-        passage, effect, [{**usual, **frequency_shapes(effect, f)} for f in band]
+        filtered, effect, [{**usual, **frequency_shapes(effect, f)} for f in band]
     )
     top = [float(band[k]) for k in local_maxima(share)[:_PEAKS]]
     coarse = _best_trial_per_peak(
-        passage, effect, [[(f * s, o) for s in near[0] for o in others] for f in top]
+        filtered, effect, [[(f * s, o) for s in near[0] for o in others] for f in top]
     )
     chosen = [
         {**o, **frequency_shapes(effect, f)}
         for f, o in _best_trial_per_peak(
-            passage, effect, [[(f * s, o) for s in near[1]] for f, o in coarse]
+            filtered, effect, [[(f * s, o) for s in near[1]] for f, o in coarse]
         )
     ]
     searched = max(len(band) // max(len(chosen), 1), 1)
@@ -163,21 +163,23 @@ def resonance_variants(passage: Passage, effect: Effect) -> list[Variant]:
 
 
 def _best_trial_per_peak(
-    passage: Passage, effect: Effect, trials: Sequence[Sequence[tuple[float, dict[str, float]]]]
+    filtered: FilteredRecords,
+    effect: Effect,
+    trials: Sequence[Sequence[tuple[float, dict[str, float]]]],
 ) -> list[tuple[float, dict[str, float]]]:
     """Of the trials (frequency, other shapes) at each peak the one that explains most."""
     flat = [{**o, **frequency_shapes(effect, f)} for some in trials for f, o in some]
-    shares = iter(_explained_shares(passage, effect, flat))
+    shares = iter(_explained_shares(filtered, effect, flat))
     return [max(((next(shares), t) for t in some), key=lambda x: x[0])[1] for some in trials]
 
 
 def _explained_shares(
-    passage: Passage, effect: Effect, trials: Sequence[Mapping[str, float]]
+    filtered: FilteredRecords, effect: Effect, trials: Sequence[Mapping[str, float]]
 ) -> Array:
     """Share of what is left that each trial (shapes by name) explains."""
     offered = [make_variant(effect, str(i + 1), dict(t)) for i, t in enumerate(trials)]
-    reduction, groups = _regress_variants(passage, offered, robust=False)
-    table = build_score_table(reduction, len(passage.active))
+    reduction, groups = _regress_variants(filtered, offered, robust=False)
+    table = build_score_table(reduction, len(filtered.active))
     shares = dict.fromkeys((v.label for v in offered), 0.0)
     shares |= {g.variant.label: s.explains for g, s in score_groups(table, groups)}
     return np.array(list(shares.values()))
@@ -234,12 +236,14 @@ def _drop_nonfinite_groups(
     return kept, [c[:, :, at] for c in carried]
 
 
-def _prediction_slopes(passage: Passage, record: int, groups: Sequence[CandidateColumns]) -> Array:
+def _prediction_slopes(
+    filtered: FilteredRecords, record: int, groups: Sequence[CandidateColumns]
+) -> Array:
     """Slopes of predictions by the candidates' amplitudes at zero, (samples, channels, columns)."""
     from spiral.engine.likelihood.signatures_kernel import propagate_signatures
 
-    task, part = passage.tasks[record], passage.parts[record]
-    along, dt = passage.motions[record], task.series.dt
+    task, part = filtered.tasks[record], filtered.parts[record]
+    along, dt = filtered.motions[record], task.series.dt
     owns = _own_states_by_label(along, dt, groups)
     samples, m = part.misses.shape
     width, n = sum(len(g.keys) for g in groups), len(task.states)
@@ -258,7 +262,7 @@ def _prediction_slopes(passage: Passage, record: int, groups: Sequence[Candidate
 
 
 def predicted_motion(
-    assembly: Assembly, task: Task, part: Prediction, varied: Collection[str] = ()
+    assembly: Assembly, task: FilterInput, part: Prediction, varied: Collection[str] = ()
 ) -> SystemMotion:
     """The motion that the filter predicts: states of the system, rates and readings of the model.
 

@@ -11,7 +11,7 @@ from spiral.inference.evidence.admission import TOLD
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
 from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood, schwarz_penalty
-from spiral.inference.likelihood.identify import find_parameter_ties
+from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.types.effect import Effect
 from spiral.types.parameter import Parameter
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from spiral.engine.filter.noise import noise_groups
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
@@ -23,7 +23,11 @@ from spiral.inference.likelihood.fitting import (
     largest_force,
     schwarz_penalty,
 )
-from spiral.inference.likelihood.ladder import initial_gust_sizes, shared_groups, tune_noise
+from spiral.inference.likelihood.noise_selection import (
+    initial_gust_sizes,
+    shared_groups,
+    tune_noise,
+)
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 
 _FITTED = 2  # models of the noise that are fitted together with the parameters
@@ -57,7 +61,7 @@ def replace_large_forces(
     return best
 
 
-def _small_force_models(task: Task, noise: NoiseModel, limit: float) -> Iterator[NoiseModel]:
+def _small_force_models(task: FilterInput, noise: NoiseModel, limit: float) -> Iterator[NoiseModel]:
     """Noise models with one correlated force in place of large white and all correlated ones."""
     kept = noise.select_terms(
         t for t in noise.terms

@@ -43,7 +43,7 @@ def suggestions(
 
 def _as_suggestion(rival: Rival, hint: tuple[str, ...]) -> Suggestion:
     """A refitted candidate: twice its gain in log-likelihood, and the share of the innovations."""
-    count = sum(p.misses.size for p in rival.fit.estimate.parts) / 2  # the half that selects
+    count = sum(p.misses.size for p in rival.fit.estimate.predictions) / 2  # the half that selects
     gain, terms = max(rival.gain, 0.0), len(rival.ranked.columns)
     p_value = float(special.chdtrc(terms, 2 * gain))
     return Suggestion(

@@ -30,7 +30,7 @@ from spiral.engine.descent import ColumnMix, descend
 from spiral.engine.filter.extended import filter_record
 from spiral.engine.filter.setup import choose_levels, smoothed_states, with_level
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import Task, prepare_task, with_record
+from spiral.engine.filter.task import FilterInput, prepare_task, with_record
 from spiral.engine.fit import WindowFit, covariance
 from spiral.engine.growth import Stage, layouts_for, transfer_window_starts
 from spiral.engine.sensitivities import reduce_windows
@@ -125,7 +125,7 @@ def _calibrate_from_filter(
 def _descend_windows(
     assembly: Assembly,
     fit_state: FitState,
-    first: Task,
+    first: FilterInput,
     together: tuple[str, ...],
     progress: Progress,
 ) -> tuple[Assembly, Stage]:
@@ -159,8 +159,8 @@ def _descend_windows(
 
 
 def _record_tasks(
-    problem: Problem, first: Task, turning: bool
-) -> tuple[list[Task], dict[str, float]]:
+    problem: Problem, first: FilterInput, turning: bool
+) -> tuple[list[FilterInput], dict[str, float]]:
     """One task for each record at the values of the first, whose process noise serves for all."""
     tuned, settings = filter_prepared(first, (ORIGIN,) if turning else None)
     levels = choose_levels(tuned, settings, None)
@@ -168,7 +168,9 @@ def _record_tasks(
     return [_with_own_origin(task, levels) if turning else task for task in tasks], levels
 
 
-def _track_parameters(first: Task, keys: tuple[str, ...], levels: tuple[float, ...]) -> Task:
+def _track_parameters(
+    first: FilterInput, keys: tuple[str, ...], levels: tuple[float, ...]
+) -> FilterInput:
     """Parameters tracked as states over the record, once for each level of process noise."""
     known = dict(zip(first.keys, first.values, strict=True))
     named = tuple(k for k in keys if known[k] or k == ORIGIN)
@@ -186,13 +188,13 @@ def _track_parameters(first: Task, keys: tuple[str, ...], levels: tuple[float, .
     return first
 
 
-def _scan_common_factor(first: Task, together: tuple[str, ...]) -> Task:
+def _scan_common_factor(first: FilterInput, together: tuple[str, ...]) -> FilterInput:
     """The common factor with the highest likelihood of the innovations, between 0.5 and 2."""
     from scipy.optimize import minimize_scalar
 
     at = [first.keys.index(k) for k in together]
 
-    def scaled_task(log_factor: float) -> Task:
+    def scaled_task(log_factor: float) -> FilterInput:
         factor = float(np.exp(log_factor))
         return first.with_values({first.keys[i]: factor * first.values[i] for i in at})
 
@@ -206,13 +208,13 @@ def _scan_common_factor(first: Task, together: tuple[str, ...]) -> Task:
     return with_record(scaled_task(float(best.x)), first.series.record)  # type: ignore[attr-defined]
 
 
-def _noise_groups(task: Task) -> tuple[str, ...]:
+def _noise_groups(task: FilterInput) -> tuple[str, ...]:
     from spiral.engine.filter.noise import noise_groups
 
     return tuple(noise_groups(task))
 
 
-def _with_own_origin(task: Task, levels: Mapping[str, float]) -> Task:
+def _with_own_origin(task: FilterInput, levels: Mapping[str, float]) -> FilterInput:
     """The task with its record's phase origin, as a filter that tracks it finds it."""
     task, settings = filter_prepared(task, (ORIGIN,))
     filter_pass = filter_record(task, with_level(task, settings, levels))

@@ -15,7 +15,7 @@ import numpy as np
 
 from spiral.engine.filter.observer import Observer, Reconstruction
 from spiral.engine.filter.prior import Prior
-from spiral.engine.filter.task import Task, prepare_task
+from spiral.engine.filter.task import FilterInput, prepare_task
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.problem import Progress, silent
 from spiral.inference.reconstruction.consistency import (
@@ -77,7 +77,7 @@ class RecordReconstruction:
     """One record with what the observer made of it."""
 
     record: Record
-    task: Task
+    task: FilterInput
     reconstruction: Reconstruction
     consistency: Consistency | None
     nees: BoundedMean | None
@@ -224,7 +224,7 @@ def estimate(
     return combine_reconstructions(observer.plugin_name(), parts)
 
 
-def reconstruct_record(task: Task, observer: Observer) -> RecordReconstruction:
+def reconstruct_record(task: FilterInput, observer: Observer) -> RecordReconstruction:
     """One record through an observer, with its statistics."""
     record = task.series.record
     reconstruction = observer.reconstruct(task)
@@ -316,7 +316,7 @@ def _time_to_two_percent(part: RecordReconstruction, name: str) -> float | None:
     return float((below[0] + width) * dt) if len(below) else None
 
 
-def _nees(task: Task, reconstruction: Reconstruction, first: int) -> BoundedMean | None:
+def _nees(task: FilterInput, reconstruction: Reconstruction, first: int) -> BoundedMean | None:
     truth = task.series.record.truth
     if not len(reconstruction.covariances) or any(n not in truth for n in task.states):
         return None

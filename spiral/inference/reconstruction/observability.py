@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.task import Task, state_jacobian
+from spiral.engine.filter.task import FilterInput, state_jacobian
 from spiral.types.record import Array
 
 
@@ -32,7 +32,7 @@ class Observability:
         }
 
 
-def observability(task: Task) -> Observability:
+def observability(task: FilterInput) -> Observability:
     """Singular values of [C; C A; ...; C A^(n-1)] at the mean of settled states and inputs.
 
     States are scaled by their settled standard deviations, channels by theirs, time by the fastest
@@ -55,7 +55,7 @@ def observability(task: Task) -> Observability:
     return Observability(int(np.sum(values > tolerance)), tuple(map(float, values)), weakest)
 
 
-def _output_slopes(task: Task, inputs: Array) -> Array:
+def _output_slopes(task: FilterInput, inputs: Array) -> Array:
     """h_x (channels, n) at the mean of the settled states."""
     n, m = len(task.states), len(task.compiled.traced.channels)
     c, d = np.zeros((m, n)), np.zeros((m, len(task.values)))

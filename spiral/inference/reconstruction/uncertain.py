@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.filter.prior import Prior
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.fit import covariance
 from spiral.inference.reconstruction.calibrate import Calibration
 from spiral.types.errors import ConfigError, did_you_mean
@@ -28,7 +28,7 @@ from spiral.types.model import Model
 _HOW = "a share of the value such as 0.2, or {absolute: 3} in the parameter's unit"
 
 
-def declared_prior(model: Model, task: Task, uncertain: Mapping[str, Any]) -> Prior | None:
+def declared_prior(model: Model, task: FilterInput, uncertain: Mapping[str, Any]) -> Prior | None:
     """Independent parameters around a task's values; nothing where none is uncertain.
 
     Raises
@@ -68,7 +68,7 @@ def fitted_prior(calibration: Calibration, record: int) -> Prior | None:
     own = [c for c, i in enumerate(study.index) if i < len(known) and scopes[i] != "record"]
     keys = tuple(known[study.index[c]] for c in own)
     values = np.array([model.values[k] for k in keys])
-    return Prior(keys, values, whole[np.ix_(own, own)], told=True) if keys else None
+    return Prior(keys, values, whole[np.ix_(own, own)], of_this_record=True) if keys else None
 
 
 def pattern_names(key: str) -> tuple[str, ...]:

@@ -148,7 +148,10 @@ class Strategy(Plugin):
 
     @abstractmethod
     def settle(self, assembly: Assembly, step: Step[Any], progress: Progress) -> RefittedModel:
-        """The model with the effects that a step admits, refitted and compared."""
+        """The model with the effects that a step admits, refitted and compared.
+
+        ``strategy=likelihood`` has refitted already in ``propose`` and hands that result over.
+        """
 
     # --- what it may have ---
 

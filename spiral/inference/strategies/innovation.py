@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.likelihood import Prepared, TunedTasks, climb_likelihood
+from spiral.engine.filter.innovation_fit import FilterInputs, TunedTasks, climb_likelihood
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import build_task
 from spiral.engine.filter.whitened import WhitenedRecord
@@ -228,7 +228,7 @@ def _filtered_values(
     return rows
 
 
-def _prepare_records(assembly: Assembly, fit_state: FitState) -> Prepared:
+def _prepare_records(assembly: Assembly, fit_state: FitState) -> FilterInputs:
     """Every record's filter task at the fit state's values; a record's own parameters tracked."""
     model, traced = assembly.problem.model, assembly.study.compiled.traced
     tracked = _tracked_keys(assembly, fit_state)

@@ -18,7 +18,7 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings, filter_record, smooth_run
 from spiral.engine.filter.setup import choose_levels, prepare_filter, with_level
-from spiral.engine.filter.task import Task, prepare_task
+from spiral.engine.filter.task import FilterInput, prepare_task
 from spiral.types.effect import ForceEffect
 from spiral.types.label import owner_of
 from spiral.types.model import Model
@@ -59,7 +59,7 @@ class MissingForce:
     spreads: Array
     level: float
     start: int
-    task: Task
+    task: FilterInput
 
     @property
     def stop(self) -> int:
@@ -144,7 +144,7 @@ def smoothed_states(
     return filter_pass.means[:, :n].copy(), np.sqrt(np.maximum(filter_pass.variances[:, :n], 0.0))
 
 
-def _force_scales(task: Task, keys: tuple[str, ...]) -> tuple[Array, Array]:
+def _force_scales(task: FilterInput, keys: tuple[str, ...]) -> tuple[Array, Array]:
     """For every axis, the force that makes the model's own accelerations, and their rate in 1/s."""
     n, count = len(task.states), len(task.keys)
     a, b = np.zeros((n, n)), np.zeros((n, count))
@@ -159,7 +159,7 @@ def _force_scales(task: Task, keys: tuple[str, ...]) -> tuple[Array, Array]:
     return np.array(sizes), np.array(rates)
 
 
-def _most_likely_level(task: Task, walking) -> float | None:
+def _most_likely_level(task: FilterInput, walking) -> float | None:
     """Decimal logarithm of the level with the highest likelihood; nothing where all run away."""
     from scipy.optimize import minimize_scalar
 
@@ -182,7 +182,7 @@ def _most_likely_level(task: Task, walking) -> float | None:
 
 
 def _smooth_force(
-    task: Task, settings: FilterSettings, level: float, start: int
+    task: FilterInput, settings: FilterSettings, level: float, start: int
 ) -> MissingForce | None:
     filter_pass = filter_record(task, settings, keep=True)
     if filter_pass.done < task.series.samples:

@@ -14,7 +14,7 @@ import numpy as np
 from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import residuals
 from spiral.inference.evidence.assembly import Assembly, active_keys, to_model
-from spiral.inference.evidence.judge import free_run_from_stage
+from spiral.inference.evidence.free_run import free_run_from_stage
 from spiral.inference.where.latent import MissingForce, missing_force
 from spiral.inference.where.orders import order_map, time_map
 from spiral.inference.where.surface import ForceShape, best_shape, rank_force_shapes

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from spiral.engine.filter.observer import Observer, Reconstruction
-from spiral.engine.filter.task import Task, prepare_task
+from spiral.engine.filter.task import FilterInput, prepare_task
 from spiral.inference.simulate import simulate, with_defaults
 from spiral.io.conformance.physics import stable_time_step
 from spiral.types.errors import ConfigError, PluginError
@@ -21,7 +21,7 @@ _LOST = 0.5  # error of a measured state, over its deviation, that no observer m
 _ROUND = 1e-9  # what rounding may make of a symmetric matrix, of its largest entry
 
 
-def tasks(systems: Sequence[System]) -> tuple[Task, ...]:
+def tasks(systems: Sequence[System]) -> tuple[FilterInput, ...]:
     """A short record of every system with nominal values: a step of all inputs, 2 % noise."""
     prepared = []
     for system in systems:
@@ -43,10 +43,10 @@ class ObserverRuns:
     def __init__(self, observer: Observer, systems: Sequence[System]) -> None:
         self.observer = observer
         self.systems = systems
-        self._found: list[tuple[Task, Reconstruction]] | None = None
+        self._found: list[tuple[FilterInput, Reconstruction]] | None = None
         self._refused: list[str] = []
 
-    def reconstructions(self) -> list[tuple[Task, Reconstruction]]:
+    def reconstructions(self) -> list[tuple[FilterInput, Reconstruction]]:
         """(task, reconstruction) of each record that the observer does not refuse.
 
         Raises

@@ -13,7 +13,7 @@ from spiral.inference.discover import discover
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.simulate import simulate
 from spiral.inference.strategies.base import Strategy
-from spiral.io.question import pose_problem
+from spiral.io.problem_setup import pose_problem
 from spiral.io.writing import to_json
 from spiral.types.errors import PluginError
 from spiral.types.model import Model, seed_model

@@ -1,5 +1,5 @@
 """From files to records: dialects, formats, columns, gaps and rates, pulses, a rotor's options.
 
-``files`` and ``readers`` give tables; ``columns`` says which column is what; ``pulses``,
-``sampling`` and ``preparation`` change numbers, each only where that is asked for.
+``formats`` reads files into tables (``table``); ``columns`` says which column is what; ``pulses``,
+``sampling`` and ``rotor_series`` change numbers, each only where that is asked for.
 """

@@ -11,11 +11,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from spiral.io.readers import own_units, preparation
-from spiral.io.readers.files import Table
+from spiral.io.readers import own_units, rotor_series
 from spiral.io.readers.layout import ColumnLayout
 from spiral.io.readers.pulses import Edge
 from spiral.io.readers.sampling import FileSeries, interpolate_gaps, resample_series
+from spiral.io.readers.table import Table
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import construct
 from spiral.types.record import Array, Record, check_increasing, check_noise, make_record
@@ -92,7 +92,7 @@ class Columns(Source):
     pulse: str | None = None
     pulse_level: float | None = None
     pulse_edge: Edge | None = None
-    rotation: preparation.Rotation = "counterclockwise"
+    rotation: rotor_series.Rotation = "counterclockwise"
     probe_angles: Mapping[str, float] | None = None
     slow_roll: Mapping[str, Any] | None = None
     fill_gaps: int | None = None
@@ -166,11 +166,11 @@ class Columns(Source):
         series = replace(series, noise=check_noise(dict(self.noise or {}), series.channels))
         wish = self._slow_roll_range()
         if (wish, self.probe_angles, self.resample) != (None, None, None):
-            series = preparation.check_channels(series)
+            series = rotor_series.check_channels(series)
         if wish is not None:
             series = self._subtract_run_out(system, table, layout, wish, series)
         if self.probe_angles is not None:
-            series = preparation.rotate_to_axes(system, series, self.probe_angles)
+            series = rotor_series.rotate_to_axes(system, series, self.probe_angles)
         if self.resample is not None:
             series = resample_series(system, series, self.resample)
         told = _describe_layout(system, layout, self.rate)
@@ -233,14 +233,14 @@ class Columns(Source):
         )
         if self.resample is not None or self.fill_gaps is not None or self.pulse is not None:
             check_increasing(name, time)
-        series = preparation.unwrap_phase(series)
+        series = rotor_series.unwrap_phase(series)
         if self.fill_gaps is not None:
             series = interpolate_gaps(series, self.fill_gaps)
         if self.pulse is not None:
-            series = preparation.add_pulse_phase(
+            series = rotor_series.add_pulse_phase(
                 system, series, self.pulse, self.pulse_level, self.pulse_edge
             )
-        return preparation.apply_rotation_sense(system, series, self.rotation)
+        return rotor_series.apply_rotation_sense(system, series, self.rotation)
 
     def _slow_roll_range(self) -> SlowRoll | None:
         """The stretch of the slow roll, checked."""
@@ -273,10 +273,10 @@ class Columns(Source):
         rows = np.arange(len(slow.time))
         if wish.speed is not None:
             low, high = layout.converted("speed", np.asarray(wish.speed, dtype=float))
-            rows = preparation.slow_roll_rows(slow, low, high)
-        vectors = preparation.slow_roll_vectors(slow, rows)
-        preparation.check_slow_roll_speed(slow, rows, series)
-        return preparation.subtract_run_out(system, series, vectors)
+            rows = rotor_series.slow_roll_rows(slow, low, high)
+        vectors = rotor_series.slow_roll_vectors(slow, rows)
+        rotor_series.check_slow_roll_speed(slow, rows, series)
+        return rotor_series.subtract_run_out(system, series, vectors)
 
     def _check_offsets(self, names: tuple[str, ...]) -> dict[str, float]:
         given = dict(self.offset or {})

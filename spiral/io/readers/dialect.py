@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from spiral.io.readers.files import MISSING
+from spiral.io.readers.table import MISSING
 from spiral.types.errors import ConfigError, InputError
 
 SPACES = r"\s+"

@@ -167,7 +167,7 @@ def _source_paths(config: Config, group: str) -> list[str]:
 
 
 def _file_state(path: str) -> list[Any]:
-    from spiral.io.readers.files import find_file
+    from spiral.io.readers.table import find_file
 
     try:
         file = find_file(path).stat()

@@ -98,7 +98,7 @@ def _tracked_parameters(estimation: Estimation) -> list[str]:
 def _uncertain_parameters(estimation: Estimation) -> list[str]:
     """Uncertain parameters before and after the first record; none where a fit gave them."""
     prior = estimation.parts[0].task.prior
-    if prior is None or prior.told:
+    if prior is None or prior.of_this_record:
         return []
     return [
         f"{name} {plus_minus(d['estimate'], d['se'])} {d['unit']}, standard deviation before "

@@ -33,8 +33,8 @@ from spiral.inference.evidence.scoring import amplitude_keys
 from spiral.inference.identifiability.parameters import find_entanglement
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import AddedEffects, RefittedModel, StartedStudy, Step
-from spiral.inference.strategies.resonances import propose_with_own_states, widen_study
-from spiral.inference.strategies.retire import prefer_simplest_alias, superfluous_labels
+from spiral.inference.strategies.shooting.resonances import propose_with_own_states, widen_study
+from spiral.inference.strategies.shooting.retire import prefer_simplest_alias, superfluous_labels
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, propose_on_windows, suggestions_by_evidence
 from spiral.inference.unknown.shape import LearnedEffect, find_unknown_shape, has_curves_to_try

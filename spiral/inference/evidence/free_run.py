@@ -1,4 +1,4 @@
-"""Fits and free runs with the machine's parameters fixed: only each record's nuisances move."""
+"""Free runs: the model integrated over a record, only its initial state and phase fitted."""
 
 from __future__ import annotations
 

@@ -32,28 +32,30 @@ from spiral.inference.likelihood.fitting import (
     prepare_filter_tasks,
     with_estimate,
 )
-from spiral.inference.strategies.superfluous import admitted_variants
+from spiral.inference.strategies.likelihood.superfluous import admitted_variants
 from spiral.types.label import owner_of
 
 
-def twin_labels(assembly: Assembly, held: Variant) -> tuple[str, ...]:
+def twin_labels(assembly: Assembly, admitted: Variant) -> tuple[str, ...]:
     """Labels of the candidates that do elsewhere what an effect does."""
-    return tuple(e.label for e in assembly.problem.candidates if _is_twin(e.plugin_name(), held))
+    return tuple(
+        e.label for e in assembly.problem.candidates if _is_twin(e.plugin_name(), admitted)
+    )
 
 
 def twins_at_its_values(
-    assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, held: Variant,
+    assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, admitted: Variant,
     ranked: Sequence[RankedCandidate],
 ) -> list[Rival]:  # fmt: skip
     """The offered twins of an effect of a model, each in its place and from its values.
 
     ``base`` is the model without the effect, ``ranked`` the candidates that have a score there.
     """
-    given, scored = _values_by_name(model, held), {r.variant.label: r for r in ranked}
+    given, scored = _values_by_name(model, admitted), {r.variant.label: r for r in ranked}
     rivals: dict[str, Rival] = {}
     for variant in assembly.offered:
         label = variant.original.label
-        if label in rivals or not _is_twin(variant.original.plugin_name(), held):
+        if label in rivals or not _is_twin(variant.original.plugin_name(), admitted):
             continue
         own = with_variants(assembly, [variant])
         one = scored.get(variant.label) or unscored_candidate(variant)
@@ -74,29 +76,29 @@ def untold_twin(base: LikelihoodFit, rival: Rival, masks: Masks) -> str:
     approximation.
     """
     own, variant = rival.assembly, rival.ranked.variant
-    for held in admitted_variants(own, rival.fit, variant.label):
-        if not _is_twin(variant.original.plugin_name(), held):
+    for admitted in admitted_variants(own, rival.fit, variant.label):
+        if not _is_twin(variant.original.plugin_name(), admitted):
             continue
-        state = drop_effects(own, rival.fit.state, (held.label,))
-        state = with_variant_values(own, state, variant, _values_by_name(base, held))
+        state = drop_effects(own, rival.fit.state, (admitted.label,))
+        state = with_variant_values(own, state, variant, _values_by_name(base, admitted))
         noise, like = base.estimate.noise, base.estimate.prepared
         fit = fit_by_likelihood(own, state, noise, masks, rough=True, like=like)
-        bare = fit_without(own, rival.fit, (held, variant), masks)
+        bare = fit_without(own, rival.fit, (admitted, variant), masks)
         gain = base.log_likelihood - bare.log_likelihood
         if fit.log_likelihood - bare.log_likelihood > TWIN * gain:
-            return held.original.label
+            return admitted.original.label
     return ""
 
 
 def fit_without(
-    assembly: Assembly, model: LikelihoodFit, held: tuple[Variant, ...], masks: Masks = None
+    assembly: Assembly, model: LikelihoodFit, admitted: tuple[Variant, ...], masks: Masks = None
 ) -> LikelihoodFit:
     """The model without effects, at the values that it has with them; its noise is fitted again.
 
     From the model's noise and from that of a first start, the likelier counts: a size of noise
     near zero does not grow by itself.
     """
-    bare = drop_effects(assembly, model.state, tuple(v.label for v in held))
+    bare = drop_effects(assembly, model.state, tuple(v.label for v in admitted))
     prepared = prepare_filter_tasks(assembly, bare)
     starts = (model.estimate.noise, first_noise(prepared[0][0], LEVEL))
     fits = [
@@ -106,12 +108,12 @@ def fit_without(
     return LikelihoodFit(with_estimate(bare, estimate), estimate)
 
 
-def _is_twin(name: str, held: Variant) -> bool:
-    return name in held.original.twins
+def _is_twin(name: str, admitted: Variant) -> bool:
+    return name in admitted.original.twins
 
 
-def _values_by_name(model: LikelihoodFit, held: Variant) -> dict[str, float]:
+def _values_by_name(model: LikelihoodFit, admitted: Variant) -> dict[str, float]:
     """Values of an effect's parameters, by their names alone."""
     task = model.estimate.prepared[0][0]
     known = zip(task.keys, task.compiled.traced.parameters, task.values, strict=True)
-    return {p.name: float(value) for key, p, value in known if owner_of(key) == held.label}
+    return {p.name: float(value) for key, p, value in known if owner_of(key) == admitted.label}

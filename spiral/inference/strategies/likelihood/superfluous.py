@@ -8,8 +8,8 @@ from scipy.stats import chi2
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.scoring import amplitude_keys
-from spiral.inference.likelihood.beginnings import refit_initial_states
 from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood, schwarz_penalty
+from spiral.inference.likelihood.initial_states import refit_initial_states
 from spiral.inference.likelihood.interpolation import fit_with_other_interpolations
 from spiral.inference.problem import Progress
 from spiral.types.effect import InputEffect, SensorEffect

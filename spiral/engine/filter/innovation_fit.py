@@ -1,4 +1,6 @@
-"""Parameters by the likelihood of the innovations, with the process noise tuned beside them.
+"""Fits of ``strategy=innovation`` and ``estimate``: parameters by the innovations' likelihood.
+
+The process noise is tuned beside them.
 
     log L = -1/2 sum_k (log det S_k + v_k^T S_k^-1 v_k + channels log 2 pi)
 
@@ -15,18 +17,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spiral.engine.filter.extended import FilterSettings, filter_record
+from spiral.engine.filter.extended import FilterInputs, filter_record
 from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.setup import with_level
-from spiral.engine.filter.task import Task
 from spiral.engine.filter.tuning import LOWEST, Likelihood, most_likely_levels
 from spiral.engine.filter.whitened import WhitenedRecord, whiten_innovations
 from spiral.engine.leastsquares import least_squares
 from spiral.types.record import Array
-
-Prepared = tuple[tuple[Task, FilterSettings], ...]
-"""For each record of one machine: its task, and settings without process noise."""
 
 _STEPS, _HALVINGS, _CYCLES = 8, 5, 12
 _ENOUGH = 0.05  # log-likelihood for which no other step is taken
@@ -44,7 +42,7 @@ class TunedTasks:
     where the filter ran away from the beginning, and has the prior in it.
     """
 
-    prepared: Prepared
+    prepared: FilterInputs
     levels: Mapping[str, float]
     log_likelihood: float
     errors: Mapping[str, float]
@@ -66,7 +64,7 @@ class TunedTasks:
 
 
 def climb_likelihood(
-    prepared: Prepared,
+    prepared: FilterInputs,
     keys: tuple[str, ...],
     levels: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -104,7 +102,7 @@ def climb_likelihood(
 
 
 def log_likelihood(
-    prepared: Prepared, levels: Mapping[str, float], prior: Prior | None = None
+    prepared: FilterInputs, levels: Mapping[str, float], prior: Prior | None = None
 ) -> float:
     """log L summed over records, plus log p of a prior; ``_RUNAWAY`` where a filter runs away."""
     total = 0.0 if prior is None else prior.log_density(prepared[0][0].parameter_values(prior.keys))
@@ -117,7 +115,7 @@ def log_likelihood(
 
 
 def _tuning_problem(
-    prepared: Prepared, known: tuple[str, ...]
+    prepared: FilterInputs, known: tuple[str, ...]
 ) -> tuple[tuple[str, ...], int, Likelihood]:
     """Arguments of ``most_likely_levels``: groups, samples, log-likelihood by levels."""
 
@@ -131,7 +129,7 @@ def _tuning_problem(
 
 
 def _lower_noise_levels(
-    prepared: Prepared, levels: dict[str, float], height: float, prior: Prior | None
+    prepared: FilterInputs, levels: dict[str, float], height: float, prior: Prior | None
 ) -> tuple[dict[str, float], float]:
     """All levels of process noise lowered together as long as the likelihood rises."""
     while max(levels.values()) > LOWEST:
@@ -144,7 +142,7 @@ def _lower_noise_levels(
 
 
 def _whitened_regression(
-    prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...]
+    prepared: FilterInputs, levels: Mapping[str, float], keys: tuple[str, ...]
 ) -> tuple[WhitenedRecord, ...] | None:
     parts = []
     for task, settings in prepared:
@@ -162,13 +160,13 @@ def _stack_rows(parts: tuple[WhitenedRecord, ...]) -> tuple[Array, Array]:
 
 
 def _climb_at_levels(
-    prepared: Prepared,
+    prepared: FilterInputs,
     keys: tuple[str, ...],
     levels: Mapping[str, float],
     height: float,
     bounds: Mapping[str, tuple[float, float]],
     prior: Prior | None,
-) -> tuple[Prepared, float]:
+) -> tuple[FilterInputs, float]:
     """Scoring steps at fixed process noise until they are not worth another."""
     for _ in range(_STEPS):
         parts = _whitened_regression(prepared, levels, keys)
@@ -191,11 +189,11 @@ def _climb_at_levels(
 
 
 def _step_values(
-    prepared: Prepared,
+    prepared: FilterInputs,
     keys: tuple[str, ...],
     step: Array,
     bounds: Mapping[str, tuple[float, float]],
-) -> Prepared:
+) -> FilterInputs:
     first = prepared[0][0]
     values = {}
     for key, delta in zip(keys, step, strict=True):
@@ -204,13 +202,13 @@ def _step_values(
     return with_shared_values(prepared, values)
 
 
-def with_shared_values(prepared: Prepared, values: Mapping[str, float]) -> Prepared:
+def with_shared_values(prepared: FilterInputs, values: Mapping[str, float]) -> FilterInputs:
     """The same records with other values of the machine's parameters."""
     return tuple((task.with_values(values), settings) for task, settings in prepared)
 
 
 def _standard_errors(
-    prepared: Prepared, levels: Mapping[str, float], keys: tuple[str, ...], prior: Prior | None
+    prepared: FilterInputs, levels: Mapping[str, float], keys: tuple[str, ...], prior: Prior | None
 ) -> tuple[dict[str, float], Array]:
     """Standard errors by name; with a prior, the posterior covariance as well."""
     parts = _whitened_regression(prepared, levels, keys) if keys else None

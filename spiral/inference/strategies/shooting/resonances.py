@@ -35,7 +35,7 @@ from spiral.inference.evidence.enlarge import (
     transfer_fit_state,
 )
 from spiral.inference.evidence.fit_state import FitState, Masks, fit_growing_windows, stage_lengths
-from spiral.inference.evidence.judge import fit_held_out
+from spiral.inference.evidence.free_run import fit_held_out
 from spiral.inference.evidence.scoring import amplitude_keys, column_group, score_groups
 from spiral.inference.evidence.spectrum import (
     frequency_ratio,

@@ -25,7 +25,7 @@ from spiral.engine.filter.extended import filter_record
 from spiral.engine.filter.extended import smooth_run as backward
 from spiral.engine.filter.setup import choose_levels, smoothed_states, with_level
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import Task, with_start_spread
+from spiral.engine.filter.task import FilterInput, with_start_spread
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import Masks, log_likelihood, predict_cases, predict_readings
 from spiral.engine.series import Series
@@ -51,7 +51,7 @@ _TIMES = (100.0, 10.0)  # c: initial spread of the filter over the smoothed devi
 
 
 @dataclass(frozen=True)
-class Beginning:
+class InitialState:
     """Mean (n,) and spread (n,) of an initial state; log-likelihood of the first samples."""
 
     start: Array
@@ -155,7 +155,7 @@ def narrow_initial_states(
     return again if again.log_likelihood > fit.log_likelihood else fit
 
 
-def likely_initial_state(task: Task, noise: NoiseModel) -> Beginning:
+def likely_initial_state(task: FilterInput, noise: NoiseModel) -> InitialState:
     """The most likely initial state of a task's record, with the spread that a filter starts with.
 
     Where the first step of the search changes nothing the machine is as good as linear, and the
@@ -177,15 +177,15 @@ def likely_initial_state(task: Task, noise: NoiseModel) -> Beginning:
     return best
 
 
-def set_likely_initial_state(task: Task, noise: NoiseModel) -> Task:
+def set_likely_initial_state(task: FilterInput, noise: NoiseModel) -> FilterInput:
     """The task with the initial state and spread of ``likely_initial_state``."""
     begun = likely_initial_state(task, noise)
     return with_start_spread(replace(task, start=begun.start), begun.spread)
 
 
 def _initial_state_trials(
-    head: Task, noise: NoiseModel, start: Array, shares: Sequence[float]
-) -> Iterator[Beginning]:
+    head: FilterInput, noise: NoiseModel, start: Array, shares: Sequence[float]
+) -> Iterator[InitialState]:
     """Initial states one step of the search (Levenberg and Marquardt) away from ``start``."""
     levels = force_levels(noise)
     for share in shares:
@@ -206,15 +206,15 @@ def _initial_state_trials(
 
 
 def _evaluate_initial_state(
-    head: Task, noise: NoiseModel, start: Array, spread: Array
-) -> Beginning:
+    head: FilterInput, noise: NoiseModel, start: Array, spread: Array
+) -> InitialState:
     """An initial state, its spread at most the machine's own, with the head's log-likelihood."""
     task = with_start_spread(replace(head, start=start.copy()), spread)
     parts = predict_readings(*filter_prepared(task, (), {}), noise)
-    return Beginning(task.start, task.spread, log_likelihood((parts,)))
+    return InitialState(task.start, task.spread, log_likelihood((parts,)))
 
 
-def head_task(task: Task) -> Task:
+def head_task(task: FilterInput) -> FilterInput:
     """The task over the first samples of its record, with the machine's own initial spread."""
     inputs = _head_inputs(task)
     return with_start_spread(replace(task, series=_head_series(task.series), inputs=inputs), None)
@@ -226,6 +226,6 @@ def _head_series(series: Series) -> Series:
     return replace(series, y=np.ascontiguousarray(series.y[:samples]), seen=seen)
 
 
-def _head_inputs(task: Task) -> Array:
+def _head_inputs(task: FilterInput) -> Array:
     samples = min(task.series.samples, _HEAD)
     return np.ascontiguousarray(task.inputs[: (samples - 1) * 2 * task.series.substeps + 1])

@@ -96,7 +96,7 @@ def pose_problem(
 
     Parameters
     ----------
-    records, test : to fit, and to judge by (``split``).
+    records, test : to fit, and to judge by (``split_records``).
     settle : seconds of a test record that fix its own nuisances.
     candidates : labels or effects; left out, all that fit the system.
     strategy : a plugin, or the name of one with its usual options.

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.filter.setup import smoothed_states
-from spiral.engine.filter.task import Task
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.fit import fit
 from spiral.engine.growth import Stage, layouts_for
-from spiral.engine.likelihood.fit import Maximum
+from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.engine.study import Point
@@ -21,10 +21,10 @@ from spiral.inference.evidence.assembly import (
     with_records,
 )
 from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.free_run import FreeRun, free_run_from_stage
 from spiral.inference.evidence.horizons import filter_task, tracked_deviations
-from spiral.inference.evidence.judge import FreeRun, free_run_from_stage
-from spiral.inference.likelihood.beginnings import set_likely_initial_state
 from spiral.inference.likelihood.fitting import force_levels
+from spiral.inference.likelihood.initial_states import set_likely_initial_state
 from spiral.types.model import Model
 from spiral.types.record import Array
 
@@ -74,7 +74,7 @@ def free_runs(
     return run, refined.fitted.point.starts
 
 
-def mean_hidden_states(estimate: Maximum) -> Array | None:
+def mean_hidden_states(estimate: MaximumLikelihood) -> Array | None:
     """(n,) means of hidden states over the first fitted record; nan for measured ones.
 
     A filter that starts a hidden state at zero (no substrate, say) may be led to where the model
@@ -89,7 +89,7 @@ def mean_hidden_states(estimate: Maximum) -> Array | None:
 
 
 def _smoothed_means(
-    task: Task, noise: NoiseModel | None, tracked: tuple[str, ...], anywhere: bool
+    task: FilterInput, noise: NoiseModel | None, tracked: tuple[str, ...], anywhere: bool
 ) -> Array:
     """Smoothed means over the record, (samples, states and tracked parameters).
 

@@ -29,7 +29,6 @@ from spiral.engine.series import MOST_SUBSTEPS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
-from spiral.inference.likelihood.beginnings import refit_initial_states
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     WORTH,
@@ -42,7 +41,8 @@ from spiral.inference.likelihood.fitting import (
     reading_count,
     required_substeps,
 )
-from spiral.inference.likelihood.ladder import drop_needless_noise, select_noise_model
+from spiral.inference.likelihood.initial_states import refit_initial_states
+from spiral.inference.likelihood.noise_selection import drop_needless_noise, select_noise_model
 from spiral.inference.problem import Progress
 
 _HEAT = 8  # scoring steps of each start
@@ -110,7 +110,7 @@ def restart_from_sensor_noise(
 
     Noise of a sensor and a random force on what it measures look alike over few samples: a fit may
     end where one of them does the work of the other, and what is left is then not white. Noise that
-    is not white looks like motion, so the ladder is climbed from there as well.
+    is not white looks like motion, so the noise model is selected from there as well.
     """
     if not fit.estimate.finite or is_white(assembly, fit):
         return fit
@@ -139,8 +139,8 @@ def restart_from_given_values(
     While noise of a kind that nobody knows yet (a sensor that drifts) looks like motion, values may
     go where they explain it (an absorber that does not move) and do not come back by themselves.
     Neither does a value that ran away (a stiffness without end) while an effect was missing. Its
-    forces are as they are by now, and as a first start has them; the ladder is climbed from the
-    likelier end. Nothing is tried where the model explains the records beside white noise with
+    forces are as they are by now, and as a first start has them; the noise model is selected from
+    the likelier end. Nothing is tried where the model explains the records beside white noise with
     values that are no hundred times the given ones.
     """
     at = fit.estimate
@@ -169,9 +169,9 @@ def restart_from_given_values(
 def sensor_noise_only(fit: LikelihoodFit) -> NoiseModel:
     """A noise model of sensor noise alone, as large as the nearly uncorrected model's error."""
     prepared = fit.estimate.prepared
-    deaf = first_noise(prepared[0][0], _QUIET, prepared[0][0].series.y.std(axis=0))
-    parts = predict_cases([(prepared, deaf)])[0]
-    seen = parts if all(p.whole for p in parts) else fit.estimate.parts
+    little_noise = first_noise(prepared[0][0], _QUIET, prepared[0][0].series.y.std(axis=0))
+    parts = predict_cases([(prepared, little_noise)])[0]
+    seen = parts if all(p.whole for p in parts) else fit.estimate.predictions
     misses = np.concatenate([p.misses for p in seen])
     return first_noise(prepared[0][0], _QUIET, np.sqrt(np.mean(misses**2, axis=0)))
 
@@ -198,7 +198,7 @@ def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> Likeliho
     standard error that counts, the fit goes on with the shorter ones.
     """
     while fit.estimate.finite and fit.estimate.keys:
-        at, keys, solved = fit.estimate, fit.estimate.keys, fit.estimate.solved
+        at, keys, solved = fit.estimate, fit.estimate.keys, fit.estimate.regression
         steps = 2 * at.prepared[0][0].series.substeps
         if solved is None or steps > MOST_SUBSTEPS:
             break
@@ -210,7 +210,7 @@ def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> Likeliho
         inverse = solved.inverse[: len(keys)]
         pulled = sum(
             (np.einsum("kjp,kj->p", p.columns, (t.misses - p.misses) * p.weight)
-             for p, t in zip(at.parts, trial, strict=True)), np.zeros(len(keys)),
+             for p, t in zip(at.predictions, trial, strict=True)), np.zeros(len(keys)),
         )  # fmt: skip
         moved = np.abs(inverse @ (inverse.T @ pulled)) / np.array(list(at.errors.values()))
         if not np.max(moved) > _SHOWN:

@@ -30,19 +30,19 @@ from spiral.inference.likelihood.fitting import (
     is_random_force_small,
     schwarz_penalty,
 )
-from spiral.inference.likelihood.starts import with_given_values
+from spiral.inference.likelihood.seed_fit import with_given_values
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import (
+from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
     WholeRecordFit,
     benefit_objection,
+    compare_whole_record_fit,
     first_to_pass,
     offer_effects,
     race_offered,
-    settle_whole,
 )
-from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
 from spiral.physics.learned import LEVELS, Learned
@@ -58,7 +58,7 @@ class MissingCurve:
     """A curve that passed: its shape, the model with it, and effects in whose place it stands."""
 
     shape: Unknown
-    settled: RefittedModel
+    refitted: RefittedModel
     replaces: tuple[str, ...] = ()
 
 
@@ -106,7 +106,7 @@ def find_missing_curve(
     whole = _refine_knots(passed.whole, own, progress)
     listed = suggestions(race.tried, ranked, label, passed.aliases)
     return MissingCurve(
-        describe_curve(_as_curve_fit(whole, own), label, listed), whole.settled, replaces
+        describe_curve(_as_curve_fit(whole, own), label, listed), whole.refitted, replaces
     )
 
 
@@ -207,7 +207,7 @@ def _refine_knots(whole: WholeRecordFit, label: str, progress: Progress) -> Whol
         best = again
     if best is whole.fit:
         return whole
-    return settle_whole(whole.assembly, best, whole.settled.retired, progress)
+    return compare_whole_record_fit(whole.assembly, best, whole.refitted.retired, progress)
 
 
 def _as_curve_fit(whole: WholeRecordFit, label: str) -> CurveFit:

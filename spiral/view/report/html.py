@@ -112,10 +112,10 @@ def _final_figures(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure |
 def report_html(saved: SavedRun) -> str | None:
     """The report of a saved run as HTML; ``None`` where it has no curves, as jobs of a sweep."""
     curves = read_curves(saved.file.parent)
-    return None if curves is None else page(saved.data, curves)[0]
+    return None if curves is None else report_page(saved.data, curves)[0]
 
 
-def page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str]]:
+def report_page(saved: Mapping[str, Any], curves: Curves | None) -> tuple[str, list[str]]:
     """The HTML text, and the names of the figures in it."""
     from plotly.offline import get_plotlyjs
 

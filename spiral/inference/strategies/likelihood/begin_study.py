@@ -20,15 +20,15 @@ from spiral.inference.likelihood.fitting import (
     is_random_force_small,
     predicted_states,
 )
-from spiral.inference.likelihood.identify import find_parameter_ties
 from spiral.inference.likelihood.interpolation import select_input_interpolation
-from spiral.inference.likelihood.ladder import drop_needless_noise
+from spiral.inference.likelihood.noise_selection import drop_needless_noise
+from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_other_shapes
-from spiral.inference.likelihood.starts import best_fit
+from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.inference.problem import Problem, Progress
-from spiral.inference.strategies.admission import finish_fit, settle_fit
 from spiral.inference.strategies.base import StartedStudy
-from spiral.inference.strategies.other_noise import fit_with_noise_growth
+from spiral.inference.strategies.likelihood.admission import compare_likelihood_fit, finish_fit
+from spiral.inference.strategies.likelihood.other_noise import fit_with_noise_growth
 from spiral.types.label import owner_of
 
 _FLAT = (
@@ -105,11 +105,11 @@ def _fit_seed(problem: Problem, progress: Progress) -> tuple[Assembly, Likelihoo
 
 def _lay_out_candidates(bare: Assembly, fit: LikelihoodFit, progress: Progress) -> StartedStudy:
     """A fit compared with the test records, its candidates listed but not compiled."""
-    settled = settle_fit(bare, fit, progress)
-    fitted = replace(bare.problem, model=settled.comparison.model)
+    refitted = compare_likelihood_fit(bare, fit, progress)
+    fitted = replace(bare.problem, model=refitted.comparison.model)
     expected = predicted_states(fit)
     variants, left_out, _ = build_variants(fitted, bare.later, expected)
     assembly = replace(
         bare, offered=tuple(variants), left_out=left_out, bare=True, expected=expected
     )
-    return StartedStudy(assembly, settled.fit_state, settled.comparison, settled.details)
+    return StartedStudy(assembly, refitted.fit_state, refitted.comparison, refitted.details)

@@ -19,10 +19,10 @@ import numpy as np
 
 from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import Task, build_task
-from spiral.engine.likelihood.fit import Maximum, maximise_likelihood
+from spiral.engine.filter.task import FilterInput, build_task
+from spiral.engine.likelihood.fit import MaximumLikelihood, maximise_likelihood
 from spiral.engine.likelihood.noise import EXTRA, STEEPEST, NoiseModel, NoiseTerm, size_limits
-from spiral.engine.likelihood.predict import Prepared, log_likelihood, predict_cases
+from spiral.engine.likelihood.predict import FilterInputs, log_likelihood, predict_cases
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
@@ -129,7 +129,7 @@ def _select_force_location(assembly: Assembly, fit: LikelihoodFit) -> Likelihood
     return fit
 
 
-def _alternative_forces(at: Maximum) -> Iterator[NoiseModel]:
+def _alternative_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
     """Noise models in which a force acts on one state of its group alone, or is correlated."""
     task, noise = at.prepared[0][0], at.noise
     shared = shared_groups(task)
@@ -150,12 +150,12 @@ def _alternative_forces(at: Maximum) -> Iterator[NoiseModel]:
             )
 
 
-def shared_groups(task: Task) -> dict[str, tuple[int, ...]]:
+def shared_groups(task: FilterInput) -> dict[str, tuple[int, ...]]:
     """Groups of two to ``_MOST_APART`` states, of which a force may act on one alone."""
     return {n: s for n, s in noise_groups(task).items() if 2 <= len(s) <= _MOST_APART}
 
 
-def _separate_forces(at: Maximum) -> Iterator[NoiseModel]:
+def _separate_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
     """Noise models with a force on each state, in place of, or beside, one for a group of states.
 
     What disturbs one coordinate of several (a gust on the cabin, not on the drive) leaves coloured
@@ -181,7 +181,7 @@ def _separate_forces(at: Maximum) -> Iterator[NoiseModel]:
             yield begun
 
 
-def _likeliest_size(at: Maximum, noise: NoiseModel, name: str) -> NoiseModel | None:
+def _likeliest_size(at: MaximumLikelihood, noise: NoiseModel, name: str) -> NoiseModel | None:
     """The noise with the likeliest of a few sizes of one term; nothing where none is likelier.
 
     Beside sizes that are at their maximum a further term is of use only where the likelihood rises
@@ -194,12 +194,12 @@ def _likeliest_size(at: Maximum, noise: NoiseModel, name: str) -> NoiseModel | N
     return trials[best] if heights[best] > at.log_likelihood else None
 
 
-def _initial_correlation_time(task: Task, share: float) -> float:
+def _initial_correlation_time(task: FilterInput, share: float) -> float:
     """A correlation time to begin with, as a share of the record; three samples at least."""
     return max(share * task.series.dt * task.series.samples, 3 * task.series.dt)
 
 
-def _best_additional_terms(at: Maximum) -> list[NoiseModel]:
+def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
     """The noise with the additional term that gains most beyond its penalty, for each kind of term.
 
     Terms are looked at on the part of the records that moves most; what keeps up there, and the
@@ -232,7 +232,7 @@ def _best_additional_terms(at: Maximum) -> list[NoiseModel]:
     return chosen
 
 
-def _likeliest_of_each_kind(at: Maximum, looks: Sequence[_TermTrial]) -> list[NoiseModel]:
+def _likeliest_of_each_kind(at: MaximumLikelihood, looks: Sequence[_TermTrial]) -> list[NoiseModel]:
     """Of each kind the noise model that gains most on all records, where it does so by the odds."""
     kinds = dict.fromkeys(x.kind for x in looks)
     of_kind = ([x.noise for x in looks if x.kind == kind] for kind in kinds)
@@ -240,7 +240,7 @@ def _likeliest_of_each_kind(at: Maximum, looks: Sequence[_TermTrial]) -> list[No
     return [b.noise for b in best if b is not None]
 
 
-def _worth_beside(trial: Maximum, at: Maximum) -> float:
+def _worth_beside(trial: MaximumLikelihood, at: MaximumLikelihood) -> float:
     """Log-likelihood that a fit gains over ``at``, less the penalty of what its noise has more."""
     if not trial.finite:
         return -np.inf
@@ -248,7 +248,9 @@ def _worth_beside(trial: Maximum, at: Maximum) -> float:
     return trial.log_likelihood - at.log_likelihood - penalty
 
 
-def _best_noise_model(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | None:
+def _best_noise_model(
+    at: MaximumLikelihood, noises: Sequence[NoiseModel]
+) -> MaximumLikelihood | None:
     """The noise model that gains most beyond its penalty on all records, if by the odds."""
     chosen, worth = None, float(np.log(DECISIVE_ODDS))
     for noise in noises:
@@ -261,7 +263,9 @@ def _best_noise_model(at: Maximum, noises: Sequence[NoiseModel]) -> Maximum | No
     return chosen
 
 
-def tune_noise(prepared: Prepared, noise: NoiseModel, least: float = -np.inf) -> Maximum:
+def tune_noise(
+    prepared: FilterInputs, noise: NoiseModel, least: float = -np.inf
+) -> MaximumLikelihood:
     """A noise model fitted alone, for a few scoring steps on the whole records.
 
     ``least`` is the log-likelihood from which it is of use, asked after the first steps.
@@ -275,7 +279,7 @@ def tune_noise(prepared: Prepared, noise: NoiseModel, least: float = -np.inf) ->
     )
 
 
-def _raise_low_pass_order(at: Maximum) -> Maximum:
+def _raise_low_pass_order(at: MaximumLikelihood) -> MaximumLikelihood:
     """The noise with the low-pass of the most likely order; unchanged where it has none.
 
     Anti-alias filters are of fourth to eighth order. Behind one every further order makes the next
@@ -293,7 +297,7 @@ def _raise_low_pass_order(at: Maximum) -> Maximum:
     return at
 
 
-def _liveliest_part(at: Maximum) -> Prepared:
+def _liveliest_part(at: MaximumLikelihood) -> FilterInputs:
     """The liveliest stretch of the records, at the values of an estimate."""
     r, start, stop = liveliest_stretch([task.series for task, _ in at.prepared])
     task, settings = at.prepared[r]
@@ -329,18 +333,18 @@ def drop_needless_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFi
     return trial if trial.log_likelihood > enough else fit
 
 
-def _noise_penalty(noise: NoiseModel, before: NoiseModel, prepared: Prepared) -> float:
+def _noise_penalty(noise: NoiseModel, before: NoiseModel, prepared: FilterInputs) -> float:
     return schwarz_penalty(len(noise.names) - len(before.names), prepared)
 
 
-def additional_noise_terms(now: Maximum) -> Iterator[AdditionalNoise]:
+def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
     """The noise terms that may be added next.
 
     Noise of a sensor that a random force has made superfluous starts at half the innovations' rms.
     """
     task, noise = now.prepared[0][0], now.noise
     channels, dt = task.compiled.traced.channels, task.series.dt
-    missed = np.sqrt(np.mean(now.parts[0].misses ** 2, axis=0))
+    missed = np.sqrt(np.mean(now.predictions[0].misses ** 2, axis=0))
     white = {
         c: max(noise.values[f"white.{c}"], size_limits(task, f"white.{c}")[0], 0.5 * float(m))
         for c, m in zip(channels, missed, strict=True)
@@ -365,14 +369,14 @@ def additional_noise_terms(now: Maximum) -> Iterator[AdditionalNoise]:
             yield AdditionalNoise(terms, values)
 
 
-def initial_gust_sizes(task: Task, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:
+def initial_gust_sizes(task: FilterInput, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:
     """Initial sizes of correlated forces with their correlation time, a short and a long one."""
     for share in _GUST_TIMES:
         sizes = {t.size: _GUST for t in terms}
         yield sizes | {t.time: _initial_correlation_time(task, share) for t in terms}
 
 
-def _vibration_terms(now: Maximum) -> Iterator[AdditionalNoise]:
+def _vibration_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
     """A narrow-band noise term for each sensor whose innovations have a clear spectral line.
 
     At a frequency at which the machine moves, misses are of the model: only a line that is mostly
@@ -382,7 +386,7 @@ def _vibration_terms(now: Maximum) -> Iterator[AdditionalNoise]:
 
     if now.noise.has_kind("vibration"):
         return
-    task, part = now.prepared[0][0], now.parts[0]
+    task, part = now.prepared[0][0], now.predictions[0]
     length = int(min(_SEGMENT, task.series.samples // 4))
     if length < _SHORT:
         return

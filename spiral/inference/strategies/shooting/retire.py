@@ -17,7 +17,7 @@ from spiral.inference.evidence.admission import AdmittedEffect, admit_candidate,
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import fitted_model
 from spiral.inference.evidence.fit_state import FitState, Masks
-from spiral.inference.evidence.judge import fit_held_out
+from spiral.inference.evidence.free_run import fit_held_out
 from spiral.inference.strategy_options import ShootingOptions
 from spiral.inference.suggest import Proposal, top_suggestions
 from spiral.types.model import Model

@@ -1,4 +1,4 @@
-"""``strategy=likelihood``: the likelihood of one-step predictions over whole records decides.
+"""A round of ``strategy=likelihood``: candidates scored, raced, refitted and tested.
 
 several starts -> most likely values and noise -> score, race and judge the candidates ->
 admission, where no horizon on unseen data grows worse -> refit, noise and effects that are
@@ -37,29 +37,29 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.interpolation import (
     likelier_interpolation_fit,
 )
-from spiral.inference.likelihood.ladder import drop_needless_noise
+from spiral.inference.likelihood.noise_selection import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress, silent
-from spiral.inference.strategies.admission import (
+from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
+from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
     Objection,
     RaceOutcome,
     benefit_objection,
+    compare_likelihood_fit,
     finish_fit,
     first_to_pass,
     fit_with_effect,
-    settle_fit,
 )
-from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
-from spiral.inference.strategies.curves import find_missing_curve
-from spiral.inference.strategies.laws import find_named_law
-from spiral.inference.strategies.look_alikes import prefer_special_case, recheck_admitted
-from spiral.inference.strategies.memory_rounds import find_missing_memory
-from spiral.inference.strategies.other_noise import (
-    settle_with_noise_growth,
-    settle_with_smaller_forces,
+from spiral.inference.strategies.likelihood.curves import find_missing_curve
+from spiral.inference.strategies.likelihood.laws import find_named_law
+from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case, recheck_admitted
+from spiral.inference.strategies.likelihood.memory_rounds import find_missing_memory
+from spiral.inference.strategies.likelihood.other_noise import (
+    refit_with_noise_growth,
+    refit_with_smaller_forces,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.errors import ConfigError
@@ -70,12 +70,12 @@ from spiral.types.run import Comparison, StopReason, Suggestion
 class ScoredRound:
     """Candidates of one round: all with their scores, and those that were refitted.
 
-    ``settled`` is the study with what is admitted, if anything is.
+    ``refitted`` is the model with what is admitted, compared, if anything is.
     """
 
     ranking: Ranking
     rivals: tuple[Rival, ...]
-    settled: RefittedModel | None = None
+    refitted: RefittedModel | None = None
 
 
 def propose(
@@ -94,7 +94,7 @@ def propose(
     base, ranked, race = contest
     least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
-        return _propose_with_other_inputs(options, assembly, other.state, number, progress)
+        return _propose_with_other_interpolation(options, assembly, other.state, number, progress)
     level = round_level(assembly.problem.settings.level, number) / options.judged
     helps = benefit_objection(options, comparison, assembly.problem.settings)
     race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
@@ -114,9 +114,9 @@ def propose(
         return _admitting_step(options, assembly, state, passed, scored, outcome)
     listed, ending = suggestions(tried, ranked, "", ()), _ending(comparison, assembly)
     step = Step(listed[: options.listed], outcome.rejected, stopped=ending, result=scored)
-    if (calmer := settle_with_smaller_forces(assembly, state, progress)) is not None:
+    if (calmer := refit_with_smaller_forces(assembly, state, progress)) is not None:
         return _propose_after_refit(options, assembly, calmer, number, progress)
-    if (grown := settle_with_noise_growth(assembly, state, base, progress)) is not None:
+    if (grown := refit_with_noise_growth(assembly, state, base, progress)) is not None:
         return replace(step, stopped=_ending(grown.comparison, assembly), again=grown)
     return _step_for_unexplained(
         options, assembly, state, base, step, comparison, masks, level, progress
@@ -151,7 +151,7 @@ def _find_second_effect(
     study that holds no more than its seed: ``first`` may have let go what was admitted before.
     """
     progress(f"trying a second effect beside {first.rival.label}")
-    state = first.whole.settled.fit_state
+    state = first.whole.refitted.fit_state
     assembly = enlarge(assembly, state.labels)
     contest = _race_candidates(options, assembly, state, masks[0], progress)
     if contest is None:
@@ -162,10 +162,10 @@ def _find_second_effect(
     second = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress).passed
     if second is None:
         return ()
-    settled = second.whole.settled
-    if first.rival.label in settled.retired:
-        gone = tuple(x for x in settled.retired if x != first.rival.label)
-        whole = replace(second.whole, settled=replace(settled, retired=gone))
+    refitted = second.whole.refitted
+    if first.rival.label in refitted.retired:
+        gone = tuple(x for x in refitted.retired if x != first.rival.label)
+        whole = replace(second.whole, refitted=replace(refitted, retired=gone))
         return (replace(second, whole=whole),)
     return first, second
 
@@ -184,7 +184,7 @@ def _admitting_step(
         shown[: options.listed], rejected, labels,
         {p.rival.label: p.aliases for p in passed}, any(of_second_order),
         "; ".join(e.meaning() for e in effects),
-        result=replace(scored, settled=passed[-1].whole.settled),
+        result=replace(scored, refitted=passed[-1].whole.refitted),
     )  # fmt: skip
 
 
@@ -204,7 +204,7 @@ def _step_for_unexplained(
         return replace(
             step, suggestions=suggestions(law.tried, law.ranking, label, aliases)[: options.listed],
             admitted=(label,), aliases={label: aliases}, meaning=law.effect.meaning(),
-            stopped="no_candidate", result=ScoredRound(law.ranking, law.tried, law.settled),
+            stopped="no_candidate", result=ScoredRound(law.ranking, law.tried, law.refitted),
         )  # fmt: skip
     return _add_missing_curve(options, assembly, base, step, comparison, masks, level, progress)
 
@@ -215,7 +215,7 @@ def _ending(comparison: Comparison, assembly: Assembly) -> StopReason:
     return "whiteness" if near else "no_candidate"
 
 
-def _propose_with_other_inputs(
+def _propose_with_other_interpolation(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, number: int,
     progress: Progress,
 ) -> Step[ScoredRound]:  # fmt: skip
@@ -223,7 +223,7 @@ def _propose_with_other_inputs(
     fit = drop_needless_noise(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
     fit = finish_fit(assembly, fit, progress)
     return _propose_after_refit(
-        options, assembly, settle_fit(assembly, fit, progress), number, progress
+        options, assembly, compare_likelihood_fit(assembly, fit, progress), number, progress
     )
 
 
@@ -254,25 +254,25 @@ def _add_missing_curve(
     curve = find_missing_curve(options, assembly, base, comparison, masks, level, progress)
     if curve is None:
         return step
-    with_it = curve.settled.comparison
+    with_it = curve.refitted.comparison
     told = {"test_error": with_it.test_error, "noise_floor": with_it.noise_floor}
     shape = {**curve.shape.as_dict(), "replaces": curve.replaces, **told}
     details = {**step.details, "unknown": shape}
     if not assembly.problem.settings.learned:
         return replace(step, details=details)
-    gone = (*curve.settled.retired, *curve.replaces)
-    settled = replace(curve.settled, retired=tuple(dict.fromkeys(gone)))
+    gone = (*curve.refitted.retired, *curve.replaces)
+    refitted = replace(curve.refitted, retired=tuple(dict.fromkeys(gone)))
     return replace(
         step, admitted=(curve.shape.effect,), meaning=curve.shape.meaning, details=details,
-        result=replace(step.required_result(), settled=settled),
+        result=replace(step.required_result(), refitted=refitted),
     )  # fmt: skip
 
 
 def settle(step: Step[ScoredRound]) -> RefittedModel:
     """The refit and comparison, which were made when the effect was proposed."""
-    settled = step.required_result().settled
-    assert settled is not None
-    return settled
+    refitted = step.required_result().refitted
+    assert refitted is not None
+    return refitted
 
 
 def suggestions_by_worth(step: Step[ScoredRound]) -> tuple[Suggestion, ...]:
@@ -307,7 +307,7 @@ def choose(
         step, suggestions=suggestions_by_worth(step)[: options.listed], admitted=(label,),
         aliases={label: aliases},
         second_order=is_second_order_remainder(effect, assembly, state), meaning=effect.meaning(),
-        result=replace(scored, settled=whole.settled),
+        result=replace(scored, refitted=whole.refitted),
     )  # fmt: skip
 
 
@@ -341,7 +341,7 @@ def admit(assembly: Assembly, state: FitState, label: str, progress: Progress) -
                           "check units and signs of the channels")  # fmt: skip
     rival = refit_candidate(assembly, base, _best_ranked(assembly, scores, label))
     label = rival.ranked.variant.label
-    return fit_with_effect(rival.assembly, rival.fit.state, label, progress).settled
+    return fit_with_effect(rival.assembly, rival.fit.state, label, progress).refitted
 
 
 def _best_ranked(assembly: Assembly, scores: Ranking, label: str) -> RankedCandidate:

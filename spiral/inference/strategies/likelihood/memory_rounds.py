@@ -8,8 +8,8 @@ from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, fit_by_likelihood
-from spiral.inference.likelihood.ladder import select_noise_model
 from spiral.inference.likelihood.memory import detect_memory, effects_replaced_by_memory
+from spiral.inference.likelihood.noise_selection import select_noise_model
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.memory import Memory

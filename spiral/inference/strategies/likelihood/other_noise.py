@@ -20,11 +20,11 @@ from spiral.inference.likelihood.fitting import (
     is_white,
     largest_force,
 )
+from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.likelihood.smaller_forces import replace_large_forces
-from spiral.inference.likelihood.starts import best_fit
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import finish_fit, settle_fit
 from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.likelihood.admission import compare_likelihood_fit, finish_fit
 
 
 def fit_with_noise_growth(
@@ -56,7 +56,7 @@ def fit_with_noise_growth(
     )
 
 
-def settle_with_noise_growth(
+def refit_with_noise_growth(
     assembly: Assembly, state: FitState, base: LikelihoodFit, progress: Progress
 ) -> RefittedModel | None:
     """The model as it is with noise that grows with its reading, fitted to all samples.
@@ -71,10 +71,10 @@ def settle_with_noise_growth(
     if likelier is None:
         return None
     other, grown = likelier
-    return settle_fit(other, grown, progress)
+    return compare_likelihood_fit(other, grown, progress)
 
 
-def settle_with_smaller_forces(
+def refit_with_smaller_forces(
     assembly: Assembly, state: FitState, progress: Progress
 ) -> RefittedModel | None:
     """The model as it is, beside forces with a memory where those it has are too large to explain.
@@ -90,4 +90,4 @@ def settle_with_smaller_forces(
     fit = finish_fit(assembly, fit, progress)
     if largest_force(fit.estimate.noise) > limit:
         return None
-    return settle_fit(assembly, fit, progress)
+    return compare_likelihood_fit(assembly, fit, progress)

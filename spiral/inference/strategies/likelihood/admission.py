@@ -19,7 +19,7 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import add_standard_errors
 from spiral.engine.likelihood.noise import NoiseModel
-from spiral.engine.likelihood.predict import Masks, Prepared
+from spiral.engine.likelihood.predict import FilterInputs, Masks
 from spiral.inference.disturbances import random_forces
 from spiral.inference.evidence.assembly import Assembly, build_variants
 from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants, without_variants
@@ -30,7 +30,6 @@ from spiral.inference.likelihood.alias_groups import (
     simplest_rival,
     twin_rivals,
 )
-from spiral.inference.likelihood.beginnings import refit_initial_states
 from spiral.inference.likelihood.candidates import Race, Rival, start_race
 from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.departures import drifting_parameters
@@ -44,34 +43,35 @@ from spiral.inference.likelihood.fitting import (
     largest_force,
     restart_vanished_noise,
 )
-from spiral.inference.likelihood.identify import find_parameter_ties
+from spiral.inference.likelihood.initial_states import refit_initial_states
 from spiral.inference.likelihood.interpolation import restore_declared_interpolation
 from spiral.inference.likelihood.judging import JudgingFits, fit_on_judging_blocks, judge_winner
-from spiral.inference.likelihood.ladder import (
+from spiral.inference.likelihood.noise_selection import (
     drop_needless_forces,
     drop_needless_noise,
     reselect_noise_model,
     select_noise_model,
 )
 from spiral.inference.likelihood.scores import rank_variants
-from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
-from spiral.inference.likelihood.starts import (
+from spiral.inference.likelihood.seed_fit import (
     best_fit,
     refine_integration_steps,
     refit_on_finer_steps,
     restart_from_given_values,
     restart_from_sensor_noise,
 )
+from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
+from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.inference.nearness import is_drowned_in_noise, unexplained_error_growth
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import RefittedModel
-from spiral.inference.strategies.superfluous import (
+from spiral.inference.strategies.likelihood.superfluous import (
     admitted_variants,
     drop_superfluous_effects,
     likelihood_ratio_t,
     replace_by_interpolation,
 )
-from spiral.inference.strategies.twins import untold_twin
+from spiral.inference.strategies.likelihood.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
@@ -88,7 +88,7 @@ _BEYOND = 100.0  # times its scaled value from which a shape is of no motion in 
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
-def settle_fit(
+def compare_likelihood_fit(
     assembly: Assembly, fit: LikelihoodFit, progress: Progress, retired: tuple[str, ...] = (),
     halves_agree: bool = True,
 ) -> RefittedModel:  # fmt: skip
@@ -115,7 +115,7 @@ class WholeRecordFit:
 
     assembly: Assembly
     fit: LikelihoodFit
-    settled: RefittedModel
+    refitted: RefittedModel
 
 
 @dataclass(frozen=True)
@@ -236,8 +236,8 @@ def _with_free_run_values(
     whole = passed.whole
     if largest_force(whole.fit.estimate.noise) <= whole.assembly.problem.settings.random_limit:
         return None
-    gone = whole.settled.retired
-    freely = settle_whole(whole.assembly, whole.fit, gone, progress, halves_agree=False)
+    gone = whole.refitted.retired
+    freely = compare_whole_record_fit(whole.assembly, whole.fit, gone, progress, halves_agree=False)
     return replace(passed, whole=freely)
 
 
@@ -249,11 +249,11 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
     """
     if not whole.fit.estimate.finite:
         return Refusal("with it the fit to all samples diverges")
-    if rival.label in whole.settled.retired:
+    if rival.label in whole.refitted.retired:
         return Refusal("another interpolation of an input between its samples explains as much")
     if _has_vanished(whole, rival.label):
         return Refusal("fitted to all samples its amplitude is not distinguishable from zero")
-    model, variant = whole.settled.comparison.model, rival.ranked.variant
+    model, variant = whole.refitted.comparison.model, rival.ranked.variant
     for key, share in drifting_parameters(whole.fit.estimate).items():
         if owner_of(without_variant(key)) == rival.label and abs(share) > 1.0:
             return Refusal(
@@ -280,8 +280,8 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
 
 def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
     """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
-    model, settled = whole.settled.comparison.model, whole.settled
-    told = settled.details.get(LIKELIHOOD_RATIO_T, {}).get(label, 0.0)
+    model, refitted = whole.refitted.comparison.model, whole.refitted
+    told = refitted.details.get(LIKELIHOOD_RATIO_T, {}).get(label, 0.0)
     known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
     names = [parameter_of(key) for key in model.amplitudes(label)]
     zero = [known[n].estimate == 0.0 for n in names]
@@ -339,7 +339,7 @@ def benefit_objection(
     options: LikelihoodOptions, before: Comparison, settings: Settings
 ) -> Objection:
     """An objection to candidates that do not improve predictions of unseen data."""
-    return lambda whole: refuse_unhelpful(options, before, whole.settled.comparison, settings)
+    return lambda whole: refuse_unhelpful(options, before, whole.refitted.comparison, settings)
 
 
 def refuse_unhelpful(
@@ -400,7 +400,7 @@ def _force_replacement_size(before: Comparison, after: Comparison) -> float:
 
 
 def fit_with_effect(
-    own: Assembly, state: FitState, label: str, progress: Progress, like: Prepared | None = None
+    own: Assembly, state: FitState, label: str, progress: Progress, like: FilterInputs | None = None
 ) -> WholeRecordFit:
     """The model with a candidate, fitted to all samples; superfluous noise terms and effects go.
 
@@ -420,7 +420,7 @@ def fit_with_effect(
     fit = finish_fit(own, restore_declared_interpolation(own, fit, progress), progress)
     fit, gone = drop_superfluous_effects(own, fit, label)
     fit, needless = replace_by_interpolation(own, fit, progress)
-    return settle_whole(own, fit, (*gone, *needless), progress)
+    return compare_whole_record_fit(own, fit, (*gone, *needless), progress)
 
 
 def fit_with_rival(rival: Rival, progress: Progress) -> WholeRecordFit:
@@ -435,7 +435,7 @@ def fit_beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> Who
     own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
     fit = fit_by_likelihood(own, state, noise, rough=True)
     fit = _fit_shapes(own, fit, rival.ranked.variant.label)
-    return settle_whole(own, continue_fit(own, fit), (), progress)
+    return compare_whole_record_fit(own, continue_fit(own, fit), (), progress)
 
 
 def _fit_shapes(own: Assembly, fit: LikelihoodFit, label: str) -> LikelihoodFit:
@@ -453,11 +453,11 @@ def _fit_shapes(own: Assembly, fit: LikelihoodFit, label: str) -> LikelihoodFit:
     return fit
 
 
-def settle_whole(
+def compare_whole_record_fit(
     own: Assembly, fit: LikelihoodFit, gone: tuple[str, ...], progress: Progress,
     halves_agree: bool = True,
 ) -> WholeRecordFit:  # fmt: skip
     """A fit to all samples and its comparison, in a study compiled with its own effects alone."""
-    settled = settle_fit(own, fit, progress, gone, halves_agree)
-    _, fit_state = _drop_unused_variants(own, settled.fit_state)
-    return WholeRecordFit(own, fit, replace(settled, fit_state=fit_state))
+    refitted = compare_likelihood_fit(own, fit, progress, gone, halves_agree)
+    _, fit_state = _drop_unused_variants(own, refitted.fit_state)
+    return WholeRecordFit(own, fit, replace(refitted, fit_state=fit_state))

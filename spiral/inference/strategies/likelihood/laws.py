@@ -37,11 +37,12 @@ from spiral.inference.likelihood.fitting import (
     schwarz_penalty,
     with_estimate,
 )
-from spiral.inference.likelihood.ladder import select_noise_model
+from spiral.inference.likelihood.noise_selection import select_noise_model
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress, Settings
-from spiral.inference.strategies.admission import (
+from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
     Refusal,
     WholeRecordFit,
@@ -51,7 +52,6 @@ from spiral.inference.strategies.admission import (
     race_offered,
     refuse_unhelpful,
 )
-from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect, ForceEffect, StateFlow
@@ -69,7 +69,7 @@ class NamedLaw:
     aliases: tuple[str, ...]
     ranking: Ranking
     tried: tuple[Rival, ...]
-    settled: RefittedModel
+    refitted: RefittedModel
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def _find_law_from(
         return None
 
     def objection(whole: WholeRecordFit) -> Refusal | None:
-        if _explains_all(options, assembly, start, whole.settled, comparison):
+        if _explains_all(options, assembly, start, whole.refitted, comparison):
             return None
         return Refusal("it leaves more than noise, or is not likelier than what it would replace")
 
@@ -204,16 +204,16 @@ def _find_law_from(
     if passed is None:
         return None
     gone = tuple(assembly.variant(x).original.label for x in start.gone)
-    settled, effect = passed.whole.settled, passed.rival.ranked.variant.original
+    refitted, effect = passed.whole.refitted, passed.rival.ranked.variant.original
     if effect.label in gone:  # it stands for itself
         return None
     known = _find_equal_candidate(options, assembly, start, passed, masks, progress)
     if known is not None:
         passed = replace(known, aliases=(effect.label, *passed.aliases))
-        settled, effect = known.whole.settled, known.rival.ranked.variant.original
+        refitted, effect = known.whole.refitted, known.rival.ranked.variant.original
     gone = tuple(x for x in gone if x != effect.label)
-    settled = replace(settled, retired=(*settled.retired, *gone))
-    return NamedLaw(effect, passed.aliases, ranked, race.tried, settled)
+    refitted = replace(refitted, retired=(*refitted.retired, *gone))
+    return NamedLaw(effect, passed.aliases, ranked, race.tried, refitted)
 
 
 def _find_equal_candidate(
@@ -222,7 +222,7 @@ def _find_equal_candidate(
 ) -> AcceptedCandidate | None:  # fmt: skip
     """A candidate at a law's place that does as well beside the values found with the law."""
     own, effect = law.whole.assembly, law.rival.ranked.variant.original
-    settled, noise = law.whole.settled, law.whole.fit.estimate.noise
+    refitted, noise = law.whole.refitted, law.whole.fit.estimate.noise
     known = tuple(
         e for e in assembly.problem.candidates_beside(effect)
         if isinstance(e, ForceEffect | StateFlow) and not e.states
@@ -237,33 +237,33 @@ def _find_equal_candidate(
     )
     start = LikelihoodFit(with_estimate(bare, estimate), estimate)
     contest = race_offered(offer_effects(own, known), start, masks[0], progress, options.rivals)
-    least = settled.log_likelihood - np.log(options.odds)
+    least = refitted.log_likelihood - np.log(options.odds)
     winners = () if contest is None else contest[0].winners()
     for rival, _ in itertools.islice(winners, options.judged):
         whole = fit_beside_noise(rival, noise, progress)
-        white = is_near_noise(whole.settled.comparison, assembly.problem.settings)
-        if white and whole.settled.log_likelihood >= least:
+        white = is_near_noise(whole.refitted.comparison, assembly.problem.settings)
+        if white and whole.refitted.log_likelihood >= least:
             return AcceptedCandidate(rival, (), whole)
     return None
 
 
 def _explains_all(
-    options: LikelihoodOptions, assembly: Assembly, start: _LawStart, settled: RefittedModel,
+    options: LikelihoodOptions, assembly: Assembly, start: _LawStart, refitted: RefittedModel,
     comparison: Comparison,
 ) -> bool:  # fmt: skip
     """Whether a law leaves only noise and is likelier, penalty included, than what it replaces."""
     settings = assembly.problem.settings
-    if not is_near_noise(settled.comparison, settings):
+    if not is_near_noise(refitted.comparison, settings):
         return False
     if not start.gone:
-        return refuse_unhelpful(options, comparison, settled.comparison, settings) is None
-    log_likelihood = settled.log_likelihood - _parameter_penalty(start, settled.comparison)
+        return refuse_unhelpful(options, comparison, refitted.comparison, settings) is None
+    log_likelihood = refitted.log_likelihood - _parameter_penalty(start, refitted.comparison)
     least = np.log(options.odds) - _parameter_penalty(start, comparison)
     if not log_likelihood > start.log_likelihood + least:
         return False
     return (
         log_likelihood
-        > _log_likelihood_beside_law_noise(assembly, start, settled.fit_state) + least
+        > _log_likelihood_beside_law_noise(assembly, start, refitted.fit_state) + least
     )
 
 

@@ -38,9 +38,17 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import unexplained_error_growth
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.admission import AcceptedCandidate, fit_with_rival, offer_effects
-from spiral.inference.strategies.superfluous import admitted_variants
-from spiral.inference.strategies.twins import fit_without, twin_labels, twins_at_its_values
+from spiral.inference.strategies.likelihood.admission import (
+    AcceptedCandidate,
+    fit_with_rival,
+    offer_effects,
+)
+from spiral.inference.strategies.likelihood.superfluous import admitted_variants
+from spiral.inference.strategies.likelihood.twins import (
+    fit_without,
+    twin_labels,
+    twins_at_its_values,
+)
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
@@ -73,11 +81,11 @@ def recheck_admitted(
     model = fit_by_likelihood(assembly, state, steps=WARM, rough=True)
     left = dict(aliases)
     effects = admitted_variants(assembly, model) if model.estimate.finite else []
-    for held in effects:
-        label = held.original.label
-        declared = _declared_look_alikes(assembly, held)
+    for admitted in effects:
+        label = admitted.original.label
+        declared = _declared_look_alikes(assembly, admitted)
         others = tuple(dict.fromkeys((*aliases.get(label, ()), *declared)))
-        again = _contest_effects(options, assembly, model, (held,), others, progress)
+        again = _contest_effects(options, assembly, model, (admitted,), others, progress)
         if again is None:
             continue
         left[label] = tuple(x for x in aliases.get(label, ()) if x in again.aliases)
@@ -103,51 +111,51 @@ def prefer_special_case(
     the model had are let go for it, or noise of another kind is found beside it, others at its
     place are held against it as well: they were raced beside what is gone.
     """
-    whole, held = passed.whole, passed.rival.ranked.variant
-    declared = _declared_look_alikes(whole.assembly, held)
+    whole, admitted = passed.whole, passed.rival.ranked.variant
+    declared = _declared_look_alikes(whole.assembly, admitted)
     beside: tuple[str, ...] = ()
-    if whole.settled.retired or _has_new_noise(passed):
-        near = whole.assembly.problem.candidates_beside(held.original)
-        beside = tuple(e.label for e in near if e.label != held.original.label)
+    if whole.refitted.retired or _has_new_noise(passed):
+        near = whole.assembly.problem.candidates_beside(admitted.original)
+        beside = tuple(e.label for e in near if e.label != admitted.original.label)
     others = tuple(dict.fromkeys((*declared, *beside)))
     if not others:
         return passed
     again = _contest_effects(
-        options, whole.assembly, whole.fit, (held,), others, progress, declared
+        options, whole.assembly, whole.fit, (admitted,), others, progress, declared
     )
     if again is None:
         return passed
-    likelier = again.find_likelier(options, whole.settled.comparison, progress)
+    likelier = again.find_likelier(options, whole.refitted.comparison, progress)
     if likelier is None:
         alike = (*again.twins, *(x for x in again.aliases if x in beside))
         return replace(passed, aliases=tuple(dict.fromkeys((*passed.aliases, *alike))))
-    gone = tuple(x for x in likelier.passed.whole.settled.retired if x != held.original.label)
-    settled = replace(likelier.passed.whole.settled, retired=gone)
+    gone = tuple(x for x in likelier.passed.whole.refitted.retired if x != admitted.original.label)
+    refitted = replace(likelier.passed.whole.refitted, retired=gone)
     told = log_likelihood_lead(likelier.passed.rival, again.ours) >= np.log(options.odds)
-    others = (*passed.aliases, *(() if told else (held.original.label,)))
+    others = (*passed.aliases, *(() if told else (admitted.original.label,)))
     aliases = tuple(x for x in others if x != likelier.passed.rival.label)
     return AcceptedCandidate(
-        likelier.passed.rival, aliases, replace(likelier.passed.whole, settled=settled)
+        likelier.passed.rival, aliases, replace(likelier.passed.whole, refitted=refitted)
     )
 
 
 def _has_new_noise(passed: AcceptedCandidate) -> bool:
     """Whether a winner's model has noise beyond white that it did not have in the race."""
-    raced, settled = (
+    raced, refitted = (
         {(t.kind, t.where) for t in noise.terms if t.kind in EXTRA}
         for noise in (passed.rival.fit.estimate.noise, passed.whole.fit.estimate.noise)
     )
-    return not settled <= raced
+    return not refitted <= raced
 
 
-def _special_case_labels(held: Variant) -> tuple[str, ...]:
+def _special_case_labels(admitted: Variant) -> tuple[str, ...]:
     """Labels of the special cases of an effect, which it becomes at the ends of its shapes."""
-    return tuple(make_label(x, held.original.port) for x in held.original.special)
+    return tuple(make_label(x, admitted.original.port) for x in admitted.original.special)
 
 
-def _declared_look_alikes(assembly: Assembly, held: Variant) -> tuple[str, ...]:
+def _declared_look_alikes(assembly: Assembly, admitted: Variant) -> tuple[str, ...]:
     """Labels of the special cases and twins of an effect."""
-    return (*_special_case_labels(held), *twin_labels(assembly, held))
+    return (*_special_case_labels(admitted), *twin_labels(assembly, admitted))
 
 
 @dataclass(frozen=True)
@@ -184,10 +192,10 @@ class _Contest:
             whole = fit_with_rival(rival, progress)
             settings = rival.assembly.problem.settings
             if whole.fit.estimate.finite and not unexplained_error_growth(
-                comparison, whole.settled.comparison, settings
+                comparison, whole.refitted.comparison, settings
             ):
-                gone = tuple(dict.fromkeys((*self.labels, *whole.settled.retired)))
-                whole = replace(whole, settled=replace(whole.settled, retired=gone))
+                gone = tuple(dict.fromkeys((*self.labels, *whole.refitted.retired)))
+                whole = replace(whole, refitted=replace(whole.refitted, retired=gone))
                 return LikelierLookAlike(
                     AcceptedCandidate(rival, (), whole), self.ranking, self.others
                 )
@@ -196,7 +204,7 @@ class _Contest:
 
 def _contest_effects(
     options: LikelihoodOptions, assembly: Assembly, model: LikelihoodFit,
-    held: tuple[Variant, ...], others: tuple[str, ...], progress: Progress,
+    admitted: tuple[Variant, ...], others: tuple[str, ...], progress: Progress,
     always: tuple[str, ...] | None = None,
 ) -> _Contest | None:  # fmt: skip
     """Refit others in the place of effects; nothing where none of them is a candidate.
@@ -204,7 +212,7 @@ def _contest_effects(
     ``always``: those that are fitted to their end although they fall behind the effects after their
     first steps; all where it is not given.
     """
-    labels = tuple(v.original.label for v in held)
+    labels = tuple(v.original.label for v in admitted)
     there = {v.original.label for v in admitted_variants(assembly, model)}
     known = tuple(
         e for e in assembly.problem.candidates if e.label in others and e.label not in there
@@ -212,17 +220,17 @@ def _contest_effects(
     if not known:
         return None
     progress(f"testing again whether {', '.join(labels)} may be {first_words(others)}")
-    base = fit_without(assembly, model, held)
-    offered = offer_effects(assembly, (*known, *(v.original for v in held)))
+    base = fit_without(assembly, model, admitted)
+    offered = offer_effects(assembly, (*known, *(v.original for v in admitted)))
     ranked = rank_variants(
         offered, base, base.estimate.noise, None, lambda _: list(offered.offered)
     )
     if ranked is None:
         return None
-    others_ranked = [r for r in ranked.ranked if not _is_variant_of(r, held)]
-    ours = _model_as_rival(assembly, base, model, held)
-    finals = twins_at_its_values(offered, base, model, held[0], others_ranked)
-    if any(r.rank < 0 for r in ranked.ranked if _is_variant_of(r, held)):
+    others_ranked = [r for r in ranked.ranked if not _is_variant_of(r, admitted)]
+    ours = _model_as_rival(assembly, base, model, admitted)
+    finals = twins_at_its_values(offered, base, model, admitted[0], others_ranked)
+    if any(r.rank < 0 for r in ranked.ranked if _is_variant_of(r, admitted)):
         race = start_race(offered, base, others_ranked, None, progress, options.rivals)
         race = race.against_model(ours.worth, others if always is None else always)
         finals += [rival for rival, _ in itertools.islice(race.winners(), len(known))]
@@ -239,21 +247,21 @@ def _contest_effects(
     return _Contest(labels, ours, tuple(best), left, twins, ranked)
 
 
-def _is_variant_of(one: RankedCandidate, held: tuple[Variant, ...]) -> bool:
-    return one.variant.original.label in {v.original.label for v in held}
+def _is_variant_of(one: RankedCandidate, admitted: tuple[Variant, ...]) -> bool:
+    return one.variant.original.label in {v.original.label for v in admitted}
 
 
 def _model_as_rival(
-    assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, held: tuple[Variant, ...]
+    assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, admitted: tuple[Variant, ...]
 ) -> Rival:
     """The model with its effects as a rival of those that look like them."""
     gain, keys = model.log_likelihood - base.log_likelihood, model.estimate.keys
     count = sum(
         max(sum(owner_of(k) == v.label for k in keys), len(amplitude_keys(assembly, v)))
-        for v in held
+        for v in admitted
     )
     worth = gain - schwarz_penalty(count, base.estimate.prepared)
-    return Rival(assembly, unscored_candidate(held[0]), model, gain, worth)
+    return Rival(assembly, unscored_candidate(admitted[0]), model, gain, worth)
 
 
 def _with_model_noise(model: LikelihoodFit, base: LikelihoodFit, rival: Rival) -> Rival:

@@ -24,9 +24,9 @@ from spiral.io.readers.containers import (
     series_in_array,
 )
 from spiral.io.readers.dialect import find_dialect, units_in_names
-from spiral.io.readers.files import Table, error_first_line, find_file
 from spiral.io.readers.limits import time_limit, within_seconds
 from spiral.io.readers.matlab import read_mat
+from spiral.io.readers.table import Table, error_first_line, find_file
 from spiral.types.errors import ConfigError, InputError
 
 EXTRA = "formats"

@@ -50,7 +50,7 @@ def find_parameter_ties(fit: LikelihoodFit) -> InseparableGroups:
     if not estimate.finite or not estimate.keys:
         return InseparableGroups()
     sizes = np.array([abs(estimate.values[k]) for k in estimate.keys])
-    rows = [p.columns.reshape(-1, len(sizes)) for p in estimate.parts]
+    rows = [p.columns.reshape(-1, len(sizes)) for p in estimate.predictions]
     gram = np.sum([r.T @ r for r in rows], axis=0)
     told = sizes > 0
     seen = np.sqrt(np.maximum(np.diag(gram), 0.0))[told] * sizes[told] > 1.0
