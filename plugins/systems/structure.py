@@ -62,6 +62,11 @@ class Structure(MechanicalSystem):
         return structure_of(self.text)
 
     @property
+    def exact_to(self):
+        """The end of the band: above it modes carry what they do inside it."""
+        return self.form.band[1]
+
+    @property
     def report(self):
         """How far the reduced structure is from the full one."""
         return self.form.report

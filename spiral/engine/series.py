@@ -21,7 +21,7 @@ SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is t
 _MOST_PIECES = 60
 MOST_SUBSTEPS = 32
 _ADVANCE = 0.3  # rad, largest advance of a mode per integration step
-_GONE_ADVANCE = 1.0  # the same of modes that are gone within a sample
+_STABLE_ADVANCE = 1.0  # the same of modes that need be stable only
 _SMOOTH = 11  # samples of the local cubics that say how large a reading is
 
 
@@ -209,16 +209,19 @@ def correction_splines(record: Record, substeps: int, knot: float) -> Splines:
     return Splines(first, np.ascontiguousarray(matrix.data.reshape(count, 4)), pieces + 3)
 
 
-def steps_per_sample(eigenvalues: Array, dt: float) -> int:
+def steps_per_sample(eigenvalues: Array, dt: float, exact_to: float = np.inf) -> int:
     """Runge-Kutta steps per sample for modes of a model with these eigenvalues, 1/s.
 
-    A mode advances by 0.3 rad a step at most. One that is gone within a sample (real part below
-    -1 / dt) follows the others: it has to be stable (2.8 is the limit of the classical method), not
-    precise, once it is beyond what the samples can show (pi).
+    A mode advances by 0.3 rad a step at most. Others have to be stable (2.8 is the limit of the
+    classical method), not precise: one that is gone within a sample (real part below -1 / dt) and
+    beyond what the samples can show (pi), which follows the others, and one above the frequency
+    ``exact_to``, Hz, up to which a system's equations hold.
     """
     advance = np.abs(eigenvalues) * dt
+    precise, stable = advance / _ADVANCE, advance / _STABLE_ADVANCE
     gone = (np.real(eigenvalues) * dt < -1.0) & (advance > np.pi)
-    seen = np.where(gone, np.maximum(np.pi / _ADVANCE, advance / _GONE_ADVANCE), advance / _ADVANCE)
+    seen = np.where(gone, np.maximum(np.pi / _ADVANCE, stable), precise)
+    seen = np.where(np.abs(eigenvalues) > 2 * np.pi * exact_to, stable, seen)
     return int(np.clip(np.ceil(np.max(seen, initial=0.0)), 1, MOST_SUBSTEPS))
 
 

@@ -43,14 +43,17 @@ from spiral.types.cache import kept
 
 _V, _M, _T = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 FLOW_FUNCTION = types.FunctionType(
-    types.void(_V, _M, types.int64, types.int64, types.int64, types.float64, _V, _M, _T)
+    types.void(
+        _V, _M, types.int64, types.int64, types.int64, types.float64, _V, _M, _T, types.int64
+    )
 )
-"""flow(x, u, at, stride, substeps, step, p, S, work).
+"""flow(x, u, at, stride, substeps, step, p, S, work, first).
 
 ``x`` (at least n) and ``S`` (n, columns a multiple of four) are advanced in place by ``substeps``
 of length ``step``; inputs of step i are rows at + i stride of ``u``, and the two behind it (start,
 middle and end). ``work`` (3, n, columns of S) is scratch that begins as zero and is kept from call
-to call. Where S has fewer columns than the flow has slopes, the last ones are left out.
+to call. The columns of S are the slopes from number ``first`` on (0: by the states first; n: by the
+parameters alone); where S has fewer columns than these, the last ones are left out.
 """
 
 
@@ -92,6 +95,7 @@ class _FlowWriter:
             b.extract_value(args[i], 4) for i in (0, 1, 6, 7, 8)
         )
         self.at, self.stride, self.substeps, self.step = args[2:6]
+        self.left_out = args[9]
         self.inputs = b.extract_value(args[1], [5, 1])
         self.width = b.extract_value(args[7], [5, 1])
         self.layer = b.mul(self.width, index(self.n))
@@ -152,8 +156,9 @@ class _FlowWriter:
         for i, node in enumerate(nodes):
             for k, slope in node.slopes.items():
                 if k >= n:
-                    place = b.gep(self._row(self.work, i, 2), [index(k)])
-                    there = b.icmp_signed("<", index(k), self.width)
+                    column = b.sub(index(k), self.left_out)  # which is n at most
+                    place = b.gep(self._row(self.work, i, 2), [column])
+                    there = b.icmp_signed("<", column, self.width)
                     b.store(slope, b.select(there, place, self.nowhere))
         needed = sorted({k for node in nodes for k in node.slopes if k < n})
         entries = [{k: broadcast_lanes(b, v) for k, v in m.slopes.items() if k < n} for m in nodes]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
@@ -119,6 +120,11 @@ class System(Plugin):
     def balanced(self) -> bool:
         """Whether its equations are expressions; else a program gives the rates, ``rate`` alone."""
         return True
+
+    @property
+    def exact_to(self) -> float:
+        """Hz up to which its equations hold; faster modes are integrated stably, not precisely."""
+        return math.inf
 
     @property
     def sensed(self) -> tuple[Port, ...]:

@@ -5,25 +5,33 @@ import numpy as np
 import pytest
 from spiral_plugins.effects.inputs import InputDelay
 from spiral_plugins.effects.restoring import CubicStiffness
+from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
+from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
 from spiral.engine.filter.algebra import compiled_algebra
 from spiral.engine.filter.kernel import slope_workspace
+from spiral.engine.filter.setup import prepare_filter
+from spiral.engine.filter.task import prepare_task
+from spiral.engine.likelihood import predict
 from spiral.engine.likelihood.noise import NoiseTerm, first_noise
 from spiral.engine.likelihood.predict import predict_readings, vary_noise
 from spiral.physics.compile import compile_model
 from spiral.physics.flow import compile_flow
 from spiral.physics.lanes import padded_width
+from spiral.physics.linearity import jacobian_parameters
 from spiral.physics.trace import trace
+from spiral.types.model import seed_model
+from tests.scenes import SEED_TRUTH, planar_record
 from tests.swept_oscillator import record_of, task_of
 
 STEP = 1e-3
 
 
 @nb.njit
-def advance(flow, x, u, stride, substeps, step, p, s, work):
-    flow(x, u, 0, stride, substeps, step, p, s, work)
+def advance(flow, x, u, stride, substeps, step, p, s, work, first):
+    flow(x, u, 0, stride, substeps, step, p, s, work, first)
 
 
 @nb.njit
@@ -74,7 +82,7 @@ def test_a_flow_is_runge_kutta_and_its_slopes_are_differences_of_it(system, by):
     s, work = slope_workspace(n, n + len(by))
     s[:, :n] = np.eye(n)
     got = x.copy()
-    advance(compile_flow(traced, names).advance, got, u, 2, substeps, STEP, p, s, work)
+    advance(compile_flow(traced, names).advance, got, u, 2, substeps, STEP, p, s, work, 0)
     np.testing.assert_allclose(got, reached(x, p), rtol=1e-13)
     for column in range(n + len(by)):
         moved = [np.array(x), np.array(p)]
@@ -88,6 +96,21 @@ def test_a_flow_is_runge_kutta_and_its_slopes_are_differences_of_it(system, by):
     assert not s[:, n + len(by) :].any()
 
 
+@pytest.mark.parametrize("by", [(), (1,), (2, 0, 1)])
+def test_slopes_by_parameters_alone_are_the_last_columns_of_all(by):
+    traced, names, x, u, p, substeps = questions(Pendulum(), by)
+    n, flow = len(x), compile_flow(traced, names).advance
+    runs = []
+    for first, columns in ((0, n + len(by)), (n, len(by))):
+        s, work = slope_workspace(n, columns)
+        s[:, : n - first] = np.eye(n)[:, : n - first]
+        at = x.copy()
+        advance(flow, at, u, 2, substeps, STEP, p, s, work, first)
+        runs.append((at, s[:, n - first : columns]))
+    np.testing.assert_array_equal(runs[0][0], runs[1][0])
+    np.testing.assert_array_equal(runs[0][1], runs[1][1])
+
+
 def test_called_twice_a_flow_has_forgotten_the_call_before():
     traced, names, x, u, p, substeps = questions(PlanarRotor(), (0,))
     flow = compile_flow(traced, names).advance
@@ -95,7 +118,7 @@ def test_called_twice_a_flow_has_forgotten_the_call_before():
     for _ in range(2):
         s[:] = np.eye(*s.shape)
         at = x.copy()
-        advance(flow, at, u, 2, substeps, STEP, p, s, work)
+        advance(flow, at, u, 2, substeps, STEP, p, s, work, 0)
         runs.append((at, s.copy()))
     np.testing.assert_array_equal(runs[0][0], runs[1][0])
     np.testing.assert_array_equal(runs[0][1], runs[1][1])
@@ -189,6 +212,47 @@ def test_other_noise_along_one_motion(effects, values, share):
                                      (spreads, anew.spreads, run.spreads)):  # fmt: skip
             moved = np.linalg.norm(theirs - before)
             assert np.linalg.norm(mine - theirs) <= share * moved
+
+
+@pytest.mark.parametrize(("effects", "known"), [
+    ((), {"system.mass", "linear_stiffness.stiffness", "linear_damping.damping"}),
+    ((InputDelay(),), {"system.mass", "linear_stiffness.stiffness", "linear_damping.damping",
+                       "input_delay.time", "input_delay.scale"}),
+    ((CubicStiffness(),), None),
+])  # fmt: skip
+def test_rates_that_are_linear_in_the_states_are_known_by_their_form(effects, known):
+    traced = trace(Oscillator(), (*Oscillator().seed, *effects))
+    named = jacobian_parameters(traced)
+    assert named is None if known is None else named is not None and set(named) <= known
+    if known is not None:  # what is said not to matter does not
+        slopes = {s for r in traced.rate for x in traced.x for s in r.diff(x).free_symbols}
+        assert {k for k, s in zip(traced.keys, traced.p, strict=True) if s in slopes} <= set(named)
+
+
+def test_a_rate_that_an_input_multiplies_a_state_in_varies():
+    assert jacobian_parameters(trace(TiltingRotor(), TiltingRotor().seed)) is None
+
+
+@pytest.mark.parametrize("tracked", [(), ("system.phase_origin",)])
+def test_a_transition_that_stays_the_same_is_made_once(tracked, monkeypatch):
+    """Means, slopes, variances: those of a transition made anew at every sample, to the bit."""
+    record = planar_record(3, duration=1.0)
+    model = seed_model(PlanarRotor(), values={**SEED_TRUTH, "system.phase_origin": 0.3})
+    keys = ("linear_stiffness.stiffness_x", "linear_damping.damping_y", "unbalance.moment")
+    task, settings = prepare_filter(prepare_task(model, record, substeps=3, every=True), tracked)
+    noise = first_noise(task, 0.02)
+    other = noise.with_values({n: 1.3 * v for n, v in noise.values.items()})
+    runs = []
+    for constant in (True, False):
+        if not constant:
+            monkeypatch.setattr(predict, "_is_transition_constant", lambda *_: False)
+        assert predict._is_transition_constant(task, settings) is constant
+        run = predict_readings(task, settings, noise, keys, carry=True)
+        runs.append((run, *vary_noise(task, settings, noise, [other], run)))
+    for mine, whole in zip(runs[0][1], runs[1][1], strict=True):
+        np.testing.assert_array_equal(mine, whole)
+    for name in ("misses", "spreads", "slopes", "means", "transitions", "gains", "rows"):
+        np.testing.assert_array_equal(*(getattr(r[0], name) for r in runs))
 
 
 def test_what_nothing_disturbs_is_known_ever_better():

@@ -10,6 +10,8 @@ from scipy.io import hb_write, mmwrite, savemat
 from scipy.linalg import eigh
 
 import spiral
+from spiral.engine.series import steps_per_sample
+from spiral.inference.simulate import simulate
 from spiral.io.config import build_system, compose
 from spiral.io.readers import containers
 from spiral.io.registry import NO_FOLDER, load_registry
@@ -243,3 +245,21 @@ def test_every_mode_moves_by_itself(full):
         assert np.count_nonzero(part[:3]) > 12
     form = system.form
     assert by_x[8:, :8] == pytest.approx(-np.linalg.solve(form.mass, form.stiffness), abs=1e-3)
+
+
+def test_steps_are_those_of_the_band_beside_modes_above_it(small):
+    """A mode at four times the band is followed stably; what a force in the band makes stays."""
+    assert small.exact_to == 60.0
+    rate = 240.0
+    eigenvalues = 2j * np.pi * np.array([55.0, 240.0])
+    assert steps_per_sample(eigenvalues, 1 / rate) == 21
+    assert steps_per_sample(eigenvalues[:1], 1 / rate) == 5
+    assert steps_per_sample(eigenvalues, 1 / rate, small.exact_to) == 7
+    time = np.arange(480) / rate
+    lines = np.arange(1, 120)[:, None] * 0.5
+    turns = np.random.default_rng(2).random(lines.shape)
+    force = {"force_drive": np.sin(2 * np.pi * (lines * time + turns)).sum(axis=0)}
+    coarse, fine = (simulate(seed_model(small), time, force, substeps=n) for n in (7, 32))
+    for name, exact in fine.channels.items():
+        left = coarse.channels[name] - exact
+        assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(exact)

@@ -287,7 +287,7 @@ def extended_filter(
         write_tracked(values, tracked, x)
         if mode == EXACT:
             reset_to_identity(wide)
-            flow(x, inputs, k * substeps * 2, 2, substeps, dt / substeps, values, wide, work)
+            flow(x, inputs, k * substeps * 2, 2, substeps, dt / substeps, values, wide, work, 0)
             f[:n] = wide[:, :size]
         else:
             reset_to_identity(f)

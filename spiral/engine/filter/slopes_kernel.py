@@ -93,5 +93,5 @@ def prediction_slopes(
         x[:] = means[k]
         write_tracked(values, followed, x)
         reset_to_identity(f)
-        flow(x, inputs, k * substeps * 2, 2, substeps, step, values, f, work)
+        flow(x, inputs, k * substeps * 2, 2, substeps, step, values, f, work, 0)
         _propagate_slopes(f, s, out)

@@ -114,12 +114,24 @@ def _store_sample(k, c, x, rows, means):
             means[k, i] = x[i]
 
 
+@nb.njit(**INNER, fastmath=_FAST)
+def _advance_parameter_slopes(flow, x, stages, at, substeps, step, values, f, own, work):
+    """The flow where its slopes by the states are those of the sample before: only the others."""
+    n = f.shape[0]
+    own[:] = 0.0
+    flow(x, stages, at, 3, substeps, step, values, own, work, n)
+    for i in range(n):
+        for j in range(own.shape[1]):
+            if n + j < f.shape[1]:
+                f[i, n + j] = own[i, j]
+
+
 @nb.njit(**LOOP, fastmath=_FAST)
 def _predict_along(
     values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
-    y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
+    y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains, rows,
     states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
-    scratch, space, h, cx, cv,
+    scratch, space, h, cx, cv, own, own_work,
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
     size, width = len(q), slopes.shape[2]
@@ -135,10 +147,15 @@ def _predict_along(
         _store_sample(k, c, x, rows, means)
         if k == y.shape[0] - 1 or not is_sound(x, p):
             break
-        reset_to_identity(f)
         write_tracked(values, followed, followed_states)
         add_forces(x, driven, entries, first, half)
-        flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work)
+        if constant and k > 0:
+            _advance_parameter_slopes(
+                flow, x, stages, k * substeps * 3, substeps, step, values, f, own, own_work
+            )
+        else:
+            reset_to_identity(f)
+            flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work, 0)
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
         transition_rows(f, driven, entries, first, half, a, turned)
@@ -152,14 +169,14 @@ def _predict_along(
 @nb.njit(
     types.int64(
         FLOW_FUNCTION, MODEL_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _F2, _F1, _I1, types.int64,
-        _F2, _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2, _F2, _F2, _F3, _F2,
-        _F3, _F3, _F3,
+        _F2, _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2, types.boolean, _F2, _F2,
+        _F3, _F2, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
     flow, output, product, lower, absorb, mean, covariance, values, both, tracked, inputs, stages,
-    substeps, dt, y, r, q, phi, seen, driven,
+    substeps, dt, y, r, q, phi, seen, driven, constant,
     misses, spreads, slopes, means, transitions, gains, rows,
 ):  # fmt: skip
     """One-step predictions of a record.
@@ -177,6 +194,7 @@ def predict_record(
         noise.
     q : (N, N) covariance that a sample adds; phi (k, k), seen (channels, k), driven (n, k) : Phi,
         H and G of the noise states.
+    constant : whether the slopes of the flow by the states are the same at every sample.
     misses, spreads : (samples, channels) out: e and s; s is 0 where a channel is missing.
     slopes : (samples, channels, width) out: d. means : (samples, N) out, or no rows.
     transitions, gains, rows : (samples, N, N) F, (samples, channels, N) K and c out, for
@@ -190,6 +208,7 @@ def predict_record(
     n = size - tracked - phi.shape[0]
     first = n + tracked
     f, work = slope_workspace(n, first + width)
+    own, own_work = slope_workspace(n, tracked + width)
     p = _pad_covariance(covariance, width)
     wide, later = len(p), np.zeros_like(p)
     a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
@@ -201,9 +220,9 @@ def predict_record(
     turn_noise_rows(phi, links, n, turned)
     return _predict_along(
         values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
-        y, r, q, phi, seen, driven, misses, spreads, slopes, means, transitions, gains, rows,
-        x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a, turned,
-        x, c, d, scratch, space, h, cx, cv,
+        y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains,
+        rows, x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a,
+        turned, x, c, d, scratch, space, h, cx, cv, own, own_work,
     )  # fmt: skip
 
 
@@ -247,10 +266,10 @@ def _propagate_departure(x, a, z, phi, before, n, first, later):
 
 @nb.njit(**LOOP, fastmath=_FAST)
 def _vary_along(
-    values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,
+    values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven, constant,
     means, gains, rows, before, seen, r, q, phis, misses, spreads,
     n, first, followed_states, entries, links, none, f, work, p, x, here, later,
-    scratch, space, w, a, turned,
+    scratch, space, w, a, turned, own, own_work,
 ):  # fmt: skip
     """The loop of ``vary_record``, in arrays made before."""
     samples, size = means.shape
@@ -262,10 +281,16 @@ def _vary_along(
             break
         for i in range(size):
             here[i] = means[k, i]
-        reset_to_identity(f)
         write_tracked(values, followed, followed_states)
         add_forces(here, driven, entries, first, 0.5 * dt)
-        flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work)
+        if not constant or k == 0:
+            reset_to_identity(f)
+            flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work, 0)
+        elif first > n:
+            _advance_parameter_slopes(
+                flow, here, stages, k * substeps * 3, substeps, dt / substeps, values, f, own,
+                own_work,
+            )  # fmt: skip
         transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
             _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
@@ -277,12 +302,12 @@ def _vary_along(
 @nb.njit(
     types.void(
         FLOW_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _I1, _F2, types.int64, types.float64, _F2,
-        _F2, _F2, _F3, _F3, _F2, _F2, _F3, _F3, _F3, _F3, _F3, _F3,
+        _F2, types.boolean, _F2, _F3, _F3, _F2, _F2, _F3, _F3, _F3, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def vary_record(
-    flow, product, lower, absorb, values, followed, stages, substeps, dt, phi, driven,
+    flow, product, lower, absorb, values, followed, stages, substeps, dt, phi, driven, constant,
     means, gains, rows, before, seen, starts, r, q, phis, misses, spreads,
 ):  # fmt: skip
     """One-step predictions of a record under other models of its noise, along one filtered motion.
@@ -302,6 +327,7 @@ def vary_record(
     size = means.shape[1]
     first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
     f, work = slope_workspace(n, first)
+    own, own_work = slope_workspace(n, len(followed))
     blank = _pad_covariance(starts[0], 0)
     wide, p = len(blank), np.zeros((len(starts), *blank.shape))
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
@@ -310,8 +336,8 @@ def vary_record(
     p[:, :size, :size] = starts
     links = entries_of(np.sum(np.abs(phis), axis=0))
     _vary_along(
-        values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven,
+        values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven, constant,
         means, gains, rows, before, seen, r, q, phis, misses, spreads,
         n, first, here[:first], entries_of(driven), links, np.zeros((1, 0)), f, work, p, x, here,
-        later, scratch, space, w, a, turned,
+        later, scratch, space, w, a, turned, own, own_work,
     )  # fmt: skip

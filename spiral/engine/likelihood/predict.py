@@ -22,6 +22,7 @@ from spiral.engine.likelihood.noise import NoiseModel, noise_matrices
 from spiral.engine.series import Series
 from spiral.engine.threads import THREADS
 from spiral.physics.flow import Flow, compile_flow
+from spiral.physics.linearity import jacobian_parameters
 from spiral.types.record import Array
 
 RUNAWAY = -1e300
@@ -118,7 +119,7 @@ def predict_readings(
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
         series.substeps, series.dt, np.ascontiguousarray(y), white, parts.q, parts.phi,
-        parts.seen, parts.driven, *arrays,
+        parts.seen, parts.driven, _is_transition_constant(task, settings), *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done), settings.volume)
 
@@ -132,6 +133,12 @@ def _task_flow(task: FilterInput, settings: FilterSettings, keys: tuple[str, ...
     """The flow of a task with slopes by tracked parameters and these; one for all that it moves."""
     moved = task.moved if task.moved[: len(keys)] == keys else keys
     return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
+
+
+def _is_transition_constant(task: FilterInput, settings: FilterSettings) -> bool:
+    """Whether F is the same at every sample: where rates are linear in the states."""
+    named = jacobian_parameters(task.compiled.traced)
+    return named is not None and named.isdisjoint(settings.tracked)
 
 
 def vary_noise(
@@ -157,7 +164,8 @@ def vary_noise(
     vary_record(
         flow.advance, compiled.product, compiled.lower, compiled.absorb, task.values.copy(),
         tracked, series.stages(task.inputs), series.substeps, series.dt, first.phi, first.driven,
-        run.means, run.gains, run.rows, run.misses, run.spreads, p, r, q, phi, misses, spreads,
+        _is_transition_constant(task, settings), run.means, run.gains, run.rows, run.misses,
+        run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip
     return [(misses[j], spreads[j]) for j in range(len(others))]
 

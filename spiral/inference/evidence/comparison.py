@@ -63,13 +63,14 @@ def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
     """Steps per sample for the fastest mode at rest, at the largest inputs."""
     study = assembly.study
     n, count = study.state_count, len(study.keys)
+    system = assembly.problem.model.system
     a, b = np.zeros((n, n)), np.zeros((n, count))
     steps = 1
     for series in study.series:
         size = np.abs(series.inputs).max(axis=0) if series.inputs.size else np.zeros(0)
         study.compiled.rate(np.full(n, 1e-12), size, np.ascontiguousarray(row), np.empty(n), a, b)
         if np.all(np.isfinite(a)):
-            steps = max(steps, steps_per_sample(np.linalg.eigvals(a), series.dt))
+            steps = max(steps, steps_per_sample(np.linalg.eigvals(a), series.dt, system.exact_to))
     return steps
 
 

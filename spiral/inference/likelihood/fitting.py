@@ -156,7 +156,8 @@ def required_substeps(fit: LikelihoodFit) -> int:
         inputs = task.inputs[:: 2 * task.series.substeps]
         for k in covering_samples(states):
             matrix = state_jacobian(task.compiled, task.values, inputs[k], states[k])
-            steps = max(steps, steps_per_sample(np.linalg.eigvals(matrix), task.series.dt))
+            rates, exact_to = np.linalg.eigvals(matrix), task.model.system.exact_to
+            steps = max(steps, steps_per_sample(rates, task.series.dt, exact_to))
     return steps
 
 

@@ -33,7 +33,8 @@ class StructureForm:
     """Matrices of the coordinates, which are nodes first, then modes.
 
     ``damping`` is C, or with ``by_ratio`` the matrix whose multiple by a ratio z gives every mode
-    of the reduced structure the damping z: 2 M V diag(w) V^T M with V^T M V = I.
+    of the reduced structure the damping z: 2 M V diag(w) V^T M with V^T M V = I. ``band``, Hz, is
+    where the reduced structure answers as the full one does.
     """
 
     names: tuple[str, ...]
@@ -47,6 +48,7 @@ class StructureForm:
     by_ratio: bool
     ratio: float
     gyroscopic: Array | None
+    band: tuple[float, float]
     report: str
 
     @cached_property
@@ -160,6 +162,7 @@ def structure_of(text: str) -> StructureForm:
             by_ratio=damping is None,
             ratio=ratio,
             gyroscopic=matrices.get("G"),
+            band=(float(given["band_hz"][0]), float(given["band_hz"][1])),
             report=_reduction_report(given),
         )
     except (ValueError, KeyError, TypeError) as error:
