@@ -16,17 +16,17 @@ def jacobian_parameters(traced: TracedModel) -> frozenset[str] | None:
     products of which one factor at most holds states. What is linear in another form (a fraction
     that would cancel) counts as varying.
     """
-    states, symbols = frozenset(traced.x), set[sp.Basic]()
+    states, symbols = frozenset[sp.Basic](traced.x), set[sp.Basic]()
     if not all(_gather_coefficients(rate, states, symbols) for rate in traced.rate):
         return None
     if not symbols.isdisjoint(traced.u):
         return None
-    names = dict(zip(traced.p, traced.keys, strict=True))
-    return frozenset(names[symbol] for symbol in symbols if symbol in names)
+    pairs = zip(traced.p, traced.keys, strict=True)
+    return frozenset(key for symbol, key in pairs if symbol in symbols)
 
 
 def _gather_coefficients(
-    term: sp.Basic, states: frozenset[sp.Symbol], symbols: set[sp.Basic]
+    term: sp.Basic, states: frozenset[sp.Basic], symbols: set[sp.Basic]
 ) -> bool:
     """Whether a term is linear in the states; the symbols of its coefficients are added."""
     if term in states or term.free_symbols.isdisjoint(states):
