@@ -42,9 +42,11 @@ def describe_file(order: Order, tell: Tell) -> None:
     tell("progress", {"words": "reading the file"})
     table = read_table(order["path"], order.get("separator"), order.get("decimal"))
     numbers = {n: v for n in table.columns[:_MOST] if (v := _column_numbers(table, n)) is not None}
+    left_out = _interrupted_columns(table, numbers)
     if not numbers:
         name, column_names = Path(order["path"]).name, ", ".join(table.columns[:9])
-        _check_first_text(table)
+        if left_out:
+            raise left_out[0]
         raise InputError(
             f"{name}: no column of numbers among {column_names}",
             "columns of numbers, one row for each sample", "export it with a row of names",
@@ -66,18 +68,32 @@ def describe_file(order: Order, tell: Tell) -> None:
         {
             "columns": columns,
             "rows": rows,
+            "left_out": [_without_folder(error, order["path"]) for error in left_out],
             "systems": _describe_systems(order.get("plugins")),
             "drawn": True,
         },
     )
 
 
-def _check_first_text(table: Table) -> None:
-    """Raise ``InputError`` at the first text of a column whose first cells hold a number."""
+def _interrupted_columns(table: Table, numbers: Mapping[str, Any]) -> list[InputError]:
+    """What is wrong with columns that begin with a number and hold a text further on."""
+    wrong = []
     for name in table.columns[:_MOST]:
         values = table.values[name]
-        if any(isinstance(v, str) and _is_number(v) for v in values[:_FIRST]):
+        if name in numbers or not any(
+            isinstance(v, str) and _is_number(v) for v in values[:_FIRST]
+        ):
+            continue
+        try:
             table.column(name, name, 0, len(values), missing=True)
+        except InputError as error:
+            wrong.append(error)
+    return wrong
+
+
+def _without_folder(error: InputError, path: str) -> dict[str, str]:
+    """The message with the file's name in place of its path."""
+    return {k: v.replace(path, Path(path).name) for k, v in error.as_dict().items()}
 
 
 def _is_number(text: str) -> bool:

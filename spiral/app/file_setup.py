@@ -210,7 +210,8 @@ class FileSetup:
             setup = opened.setup
             if kind == "columns":
                 setup = replace(setup, **{**data, "columns": tuple(data["columns"]),
-                                          "systems": tuple(data["systems"])})  # fmt: skip
+                                          "systems": tuple(data["systems"]),
+                                          "left_out": tuple(data["left_out"])})  # fmt: skip
             elif kind == "system":
                 given = (*(s for s in setup.systems if not s.get("own")), data["system"])
                 self._use_read_equations(

@@ -65,13 +65,14 @@ class MappingPage:
         self, opened: OpenFile
     ) -> list[tuple[str, Callable[[OpenFile], None], Any]]:
         setup, columns = opened.setup, len(opened.setup.columns)
-        named = tuple(r["key"] for r in setup.model.get("parameters", ()))
+        named = tuple((r["key"], r["unit"]) for r in setup.model.get("parameters", ()))
+        told = (named, setup.model.get("sketch"))  # a value that is being typed redraws nothing
         return [
             ("state", self._draw_state, (opened.busy, setup.trouble)),
             ("columns", self._draw_columns, columns),
             ("form", self._draw_mapping, (columns, setup.choice.system, setup.choice.time,
                                   setup.trouble if equations.equations_error(setup) else None)),
-            ("model", self._draw_model, (named, setup.choice.without, setup.choice.effects)),
+            ("model", self._draw_model, (told, setup.choice.without, setup.choice.effects)),
             ("reading", self._draw_reading, setup.reading),
             ("records", self._draw_records, (bool(columns), setup.others)),
             ("seen", self._draw_summary, (setup.seen, setup.choice, opened.busy, setup.trouble,
@@ -90,7 +91,7 @@ class MappingPage:
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
                 self._draw_advice(opened.setup)
-            if not opened.setup.columns:
+            if not opened.setup.columns and opened.setup.may_be_text():
                 self._draw_text_layout(opened.setup)
 
     def _draw_advice(self, setup: RecordSetup) -> None:
@@ -112,10 +113,10 @@ class MappingPage:
     def _draw_text_layout(self, setup: RecordSetup) -> None:
         """Fields for ``record.separator`` and ``record.decimal``, where no columns were found."""
         with ui.row().classes("items-center gap-2").style("margin-top:10px"):
-            between = ui.input("Between columns (record.separator)", value=setup.separator)
-            mark = ui.input("Before fractions (record.decimal)", value=setup.decimal)
+            between = ui.input("Between columns", value=setup.separator)
+            mark = ui.input("Before decimals", value=setup.decimal)
             for box in (between, mark):
-                box.props("outlined dense").style("width:250px")
+                box.props("outlined dense").style("width:180px")
             button = ui.button("Read it so", on_click=lambda: self.session.file_setup.reread_file(
                 self.ident, between.value or "", mark.value or ""))  # fmt: skip
             button.props("outline")
@@ -136,6 +137,7 @@ class MappingPage:
         ui.html(f"<h2 class='head'>{escape(setup.name)}: {setup.rows} rows</h2>", sanitize=False)
         table = text.html_table(("column", "unit", "first rows", "range"), rows)
         ui.html(panels.restyle_table(table), sanitize=False)
+        ui.html(panels.left_out_note(setup.left_out), sanitize=False)
         if setup.drawn:
             data = frame.load_figure(setups.setup_folder(self.session.out, self.ident) / PICTURE)
             if data is not None:

@@ -93,18 +93,19 @@ class CandidateList:
         """The candidates, best first; those of the user and the proposed ones always."""
         if not turn.candidates:
             return
-        ui.html(f"<p class='soft order'>{panels.ranking_order_note(turn)}</p>", sanitize=False)
         few = 0 if turn.verdict == "whiteness" else _SHOWN
         count = len(turn.candidates) if self.every else few
-        for candidate in turn.candidates[:count]:
-            self._draw_candidate(scene, turn, candidate)
         always = {*scene.study.own, *turn.proposed}
-        for candidate in turn.candidates[count:]:
-            if {candidate["effect"], name_of(candidate["effect"])} & always:
-                self._draw_candidate(scene, turn, candidate)
+        shown = [c for i, c in enumerate(turn.candidates)
+                 if i < count or {c["effect"], name_of(c["effect"])} & always]  # fmt: skip
+        if shown:
+            ui.html(f"<p class='soft order'>{panels.ranking_order_note(turn)}</p>", sanitize=False)
+        for candidate in shown:
+            self._draw_candidate(scene, turn, candidate)
         left = len(turn.candidates) - few
         if left > 0:
-            said = "Show fewer" if self.every else f"Show {left} {'more' if few else 'candidates'}"
+            more = "more" if few else "candidate" + "s" * (left > 1)
+            said = "Show fewer" if self.every else f"Show {left} {more}"
             ui.button(said, on_click=self._toggle_all).props("flat dense")
 
     def _draw_proposal(self, scene: LiveStudy, turn: StudyState) -> None:
@@ -215,7 +216,7 @@ class CandidateList:
         wanted = functools.partial(self.session.plan, self.ident, effects, turn.serial)
         names = horizon_errors.join_words([panels.label_words(e) for e in effects])
         button = ui.button(f"Which test tells {names} apart?", on_click=lambda: self.ask(wanted))
-        button.props("flat dense").set_enabled(scene.busy is None)
+        button.props("flat dense align=left").set_enabled(scene.busy is None)
 
     def _draw_alias_comparison(
         self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]

@@ -135,8 +135,8 @@ def channel_error_table(turn: StudyState, units: Mapping[str, str]) -> str:
     chi2 = turn.result.get("chi2_per_dof")
     fit = "" if chi2 is None else f"χ² per degree of freedom {digits(chi2)}; "
     fit += (
-        f"whiteness p {probability(turn.result.get('whiteness_p'))}; fitted over "
-        f"{turn.result.get('horizon') or '-'} samples at a time"
+        f"whiteness <span class='formula'>p {escape(probability(turn.result.get('whiteness_p')))}"
+        f"</span>; fitted over {turn.result.get('horizon') or '-'} samples at a time"
     )
     return (
         restyle_table(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'
@@ -165,6 +165,14 @@ def series_units(summaries: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 def restyle_table(table: str) -> str:
     """A table of the report with the page's CSS class."""
     return table.replace("<table>", '<table class="plain">', 1)
+
+
+def left_out_note(wrong: Sequence[Mapping[str, str]]) -> str:
+    """Columns that are not offered, as a text stands among their numbers; empty without any."""
+    items = "".join(f"<li>{error_message(one)}</li>" for one in wrong)
+    return (
+        f'<div class="note caveats" id="left-out">Left out:<ul>{items}</ul></div>' if items else ""
+    )
 
 
 def candidate_title(row: Mapping[str, Any]) -> str:

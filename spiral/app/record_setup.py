@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import FOLDER, UPLOADS, data_converter
+from spiral.io.readers.formats import detect_format
 from spiral.io.run_id import new_run_id
 from spiral.io.storage import read_text_inside
 from spiral.io.writing import to_json, write_whole
@@ -83,7 +84,7 @@ class RecordSetup:
     one's own, which then stands last among the systems as ``own``; ``foresight`` is whether the
     record can tell effects apart (``identifiability.identifiability_forecast``), empty until that
     is known; ``reading`` is what reading changes in the first file's numbers (series, notes),
-    empty where nothing changes.
+    empty where nothing changes; ``left_out`` are messages about columns with a text among numbers.
     """
 
     ident: str
@@ -103,11 +104,18 @@ class RecordSetup:
     equations: str = ""
     foresight: Mapping[str, Any] = field(default_factory=dict)
     reading: Mapping[str, Any] = field(default_factory=dict)
+    left_out: tuple[Mapping[str, str], ...] = ()
 
     def files(self, use: str) -> list[str]:
         """Paths of the files to fit, or of those to test."""
         own = [self.path] if use == FIT else []
         return own + [o["path"] for o in self.others if o["use"] == use]
+
+    def may_be_text(self) -> bool:
+        """Whether the file could be read with another separator or decimal mark."""
+        return detect_format(b"", Path(self.path).suffix) == "text" and "binary file" not in (
+            self.trouble or {}
+        ).get("given", "")
 
     def system(self) -> Mapping[str, Any] | None:
         """The system chosen."""

@@ -187,13 +187,18 @@ table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tab
 .q-tab__label {{ font-size:13px; font-weight:600; }}
 .q-tab-panel {{ padding:10px 0 0; }}
 .js-plotly-plot {{ width:100%; }}
+.bar .soft {{ align-self:center; }}
 .bar a.quiet {{ align-self:center; font-weight:600; }}
 a.quiet {{ color:var(--blue); text-decoration:none; }}
 a.quiet:hover {{ text-decoration:underline; }}
 @media (prefers-reduced-motion:reduce) {{ *, *::before, *::after {{
   animation:none !important; transition:none !important; scroll-behavior:auto !important; }} }}
 @media (max-width:980px) {{ .split {{ grid-template-columns:minmax(0,1fr); }} }}
-@media (max-width:560px) {{ .bar-inner, .wrap {{ padding-left:12px; padding-right:12px; }}
+@media (max-width:560px) {{
+  .add-effect {{ grid-template-columns:minmax(0,1fr); }}
+  header.bar {{ position:static; }} .bar {{ top:0 !important; }}
+  header .bar-inner {{ padding-top:8px; padding-bottom:8px; row-gap:6px; }}
+  .bar-inner, .wrap {{ padding-left:12px; padding-right:12px; }}
   .card {{ padding:14px 13px; }} .number {{ font-size:36px; }} h1.big {{ font-size:27px; }}
   .studies td:nth-child(4), .studies th:nth-child(4) {{ display:none; }} }}
 """

@@ -73,7 +73,9 @@ def _step_text(study: Study, turn: StudyState | None, busy: bool) -> str:
         noise = f" Noise alone makes {percent(study.noise_floor)}." if study.noise_floor else ""
         return f"{_error_change_text(study)}{noise} {_END}"
     name = f"<b>{escape(panels.label_words(turn.proposed[0]))}</b>"
-    first = "The list to the left says what may be missing, by how much of the error it explains."
+    first = (
+        "The list <i>What is missing</i> has what it may be, by the share of the error it explains."
+    )
     said = first if len(study.line) == 1 else f"{_error_change_text(study)} The list was made anew."
     if busy:
         return f"{said} Being tried: {name}, on data that took no part in its choice."

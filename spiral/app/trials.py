@@ -19,6 +19,7 @@ from spiral.types.errors import SpiralError
 from spiral.types.label import owner_of
 from spiral.types.model import Model
 from spiral.types.record import Record
+from spiral.view.report.style import label_words
 
 _SHOWN = 4  # planned tests that are listed, beside the record at hand
 _KEPT = 8  # steps, and tried effects, that stay in memory: some 10 MB each
@@ -107,7 +108,10 @@ def rank_discriminating_tests(
         {"test": name, "probability": o.probability, "rise": o.noncentrality, "failure": o.failure}
         for name, o in zip(names, (ranking.now, *ranking.tests[:_SHOWN]), strict=False)
     ]
-    return replace_nonfinite({"effects": list(effects), "rows": rows, "advice": ranking.advice})
+    advice = ranking.advice
+    for label in effects:
+        advice = advice.replace(label, label_words(label))
+    return replace_nonfinite({"effects": list(effects), "rows": rows, "advice": advice})
 
 
 def keep_latest(store: dict[Any, Any], key: Any, value: Any) -> None:

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from tests.browser.steps import SECOND, add, choose, error, ready, shows, upload
+from tests.browser.steps import SECOND, add, choose, error, faults, ready, shows, upload
 
 RATE = 500.0
 
@@ -80,7 +80,22 @@ def test_a_bad_file_is_refused_with_a_reason(tab, served, files, picture, name, 
     text = tab.inner_text(".trouble:visible")
     assert "Expected:" in text
     assert str(served.out) not in text
+    again = tab.locator("button:has-text('Read it so')").count()
+    assert again == (name == "words.csv")  # no separator makes a text of what is none
     picture(tab, f"refused-{name.split('.')[0]}")
+
+
+def test_a_column_with_a_text_among_its_numbers_is_told(tab, served, files, picture):
+    rows = (files / "rig.csv").read_text().splitlines()
+    clock, _, hammer = rows[702].split(";")
+    rows[702] = f"{clock};overload;{hammer}"
+    (files / "overload.csv").write_text("\n".join(rows))
+    upload(tab, served, files / "overload.csv")
+    said = tab.inner_text("#left-out")
+    assert said.startswith("Left out:\ncolumn 'probe 1' of overload.csv, row 700 (line 703): text ")
+    assert "probe 1" not in tab.inner_text("table.plain >> nth=0")
+    assert faults(tab) == []
+    picture(tab, "left-out")
 
 
 def test_a_file_becomes_a_study(tab, served, files, picture):
@@ -124,6 +139,7 @@ def test_a_machine_that_works_in_volts_needs_no_typing_but_its_units(tab, served
         "section:has-text('What was understood') td:last-child", "a => a.map(c => c.innerText)"
     )
     assert units.count("V") == 4  # x and force, fitted and test
+    tab.wait_for_selector("svg.sketch:has-text('x (V)'):has-text('force (V)')")
     tab.click("button:has-text('Compare with the model')")
     tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
 
@@ -187,6 +203,7 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
     told = tab.inner_text("#plan")
     assert "the record at hand" in told
     assert "No planned test reaches 95%" in told  # one effect under two names
+    assert "cubic_stiffness" not in told
     picture(tab, "planned")
     tab.wait_for_selector("button:has-text('Compare them'):enabled")
     tab.click("button:has-text('Compare them'):enabled")

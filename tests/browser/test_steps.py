@@ -93,7 +93,9 @@ def test_a_step_that_turned_out_worse_says_so_and_is_undone_with_one_click(tab, 
 def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, picture):
     """A study on disk: two effects added to one turn, the second of them looked at."""
     doubts = ("Cubic stiffness cannot be told from clearance on this record.",)
-    ranked = {"candidates": (), "verdict": "whiteness", "run_id": "20260101-000000-abc"}
+    weak = {"effect": "stop", "meaning": "A stop.", "aliases": [], "explains": 0.001,
+            "p_value": 0.5, "wald_p_value": 0.5}  # fmt: skip
+    ranked = {"candidates": (weak,), "verdict": "whiteness", "run_id": "20260101-000000-abc"}
 
     def turn(serial, parent, added, error, **more):
         return StudyState(serial, added, {"test_error": error}, parent=parent, **ranked, **more)
@@ -114,6 +116,8 @@ def test_every_branch_is_kept_and_caveats_stand_beside_the_verdict(tab, served, 
     assert "noise floor < 0.001 %" in tab.text_content("#plot-error-falling")
     assert tab.inner_text("#caveats li") == doubts[0]
     assert "Nothing more is missing" in tab.inner_text("#ending")
+    assert tab.locator(".order").count() == 0  # no candidate is shown
+    assert tab.locator("button:has-text('Show 1 candidate')").count() == 1
     picture(tab, "branches")
     tab.click("#branches button:has-text('rub')")
     tab.wait_for_selector(".chip.added:has-text('rub')")

@@ -133,7 +133,7 @@ def test_a_round_that_runs_away_is_marked_and_drawn_beside_the_others():
                "test_error": None}]  # fmt: skip
     figure = error_falling({"rounds": rounds})
     assert [a.text for a in figure.layout.annotations] == [
-        "<b>110 %</b><br>the seed", "<b>↑ not finite</b><br>+ cubic stiffness"
+        "<b>110 %</b><br>as it was", "<b>↑ not finite</b><br>+ cubic stiffness"
     ]  # fmt: skip
     assert error_falling({"rounds": rounds[1:]}, least=1) is None
 

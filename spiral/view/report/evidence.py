@@ -133,7 +133,7 @@ def _step_label(entry: Mapping[str, Any]) -> str:
     names = [label_words(name) for name in entry.get("admitted") or ()]
     gone = [label_words(name) for name in entry.get("retired") or ()]
     let_go = "".join(f"<br>\N{MINUS SIGN} {_wrap_label(name)}" for name in gone)
-    return "+ " + ",<br>".join(map(_wrap_label, names)) + let_go if names else "the seed"
+    return "+ " + ",<br>".join(map(_wrap_label, names)) + let_go if names else "as it was"
 
 
 def _wrap_label(name: str) -> str:

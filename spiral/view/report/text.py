@@ -180,7 +180,7 @@ def rounds_or_suggestions(saved: Saved) -> str:
     if len(done) > 1:
         columns = ("round", "added", "fit error", "test error", "chi2/dof", "whiteness p")
         rows = [
-            (r["round"], ", ".join(r["admitted"]) or "the seed", percent(r["fit_error"]),
+            (r["round"], ", ".join(r["admitted"]) or "the model as it was", percent(r["fit_error"]),
              percent(r["test_error"]), number(r["chi2_per_dof"]), probability(r["whiteness_p"]))
             for r in done
         ]  # fmt: skip
