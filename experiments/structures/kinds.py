@@ -1,10 +1,11 @@
-"""The two structures, each of more than 10 000 degrees of freedom: matrices, kept nodes, places."""
+"""Two large structures and ROSS's rotor: matrices, kept nodes, places."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from scipy import sparse
@@ -130,5 +131,18 @@ def _spring(size: int, stiffness: float, first: int, second: int) -> sparse.csc_
     return (stiffness * column @ column.T).tocsc()
 
 
-KINDS = {"beam": beam, "rotor": rotor}
+@cache
+def ross() -> Kind:
+    """ROSS's example: a shaft of 1.5 m, two disks, bearings (R. Timbo et al. 2020, JOSS 5)."""
+    with np.load(Path(__file__).with_name("ross_example.npz")) as file:
+        matrices = {name: sparse.csc_matrix(file[name]) for name in file}
+    uses = {"bearing_0": (0, "port"), "shaft_1": (1, "port"), "disk_2": (2, "input port"),
+            "shaft_3": (3, "sensor port"), "disk_4": (4, "sensor port"),
+            "shaft_5": (5, "end"), "bearing_6": (6, "end")}  # fmt: skip
+    nodes = {name: {"dof": 4 * node, "use": use} for name, (node, use) in uses.items()}
+    pairs = {"coupling": ("shaft_5", "bearing_6")}
+    return Kind("ross", matrices, nodes, pairs, (0.0, 150.0), 600.0, 100.0, (60.0, 250.0))
+
+
+KINDS = {"beam": beam, "rotor": rotor, "ross": ross}
 __all__ = ["KINDS", "STEEL", "Kind"]

@@ -29,7 +29,7 @@ def job(what, code="a"):
 
 def test_studies_end_each_in_its_own_way_and_are_taken_up(tmp_path, capsys):
     file = tmp_path / "rows.jsonl"
-    rows = finish([job(w) for w in ("good", "fail", "spin")], file, limit=3.0, workers=2)
+    rows = finish([job(w) for w in ("good", "fail", "spin")], file, limit=2.0, workers=2)
     assert [r["outcome"] for r in rows] == ["done", "failed", "timeout"]
     assert "no such spring" in rows[1]["error"]
     with file.open("a") as out:

@@ -94,6 +94,7 @@ observed: [brake]
 """
 
 
+@pytest.mark.slow
 def test_a_worn_seal_between_two_chambers_is_named():
     """The supply is seen by no sensor; what leaks follows the root of the difference."""
     system = Equations(text=CHAMBERS)

@@ -76,6 +76,7 @@ def test_smoothed_bands_are_the_dense_gaussians_on_a_linear_model():
     np.testing.assert_allclose(found.deviations**2, variances, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_bands_hold_95_percent_where_machines_are_drawn():
     """Mass, stiffness, damping and load of 10 %, 10 %, 30 % and 50 %; 1.96 deviations: 95 %."""
     doubt = {"system.mass": 0.1, "linear_stiffness.*": 0.1, "linear_damping.*": 0.3, LOAD: 0.5}
