@@ -41,17 +41,16 @@ def modes(name: str) -> Modes:
     """Those of a kind: the lowest of the whole structure, and what its places need beside them."""
     kind = KINDS[name]()
     mass, stiffness = kind.matrices["M"], kind.matrices["K"]
-    start = np.random.default_rng(0).normal(size=mass.shape[0])
-    if mass.shape[0] > 2 * MODES:
-        _, lowest = eigsh(stiffness, MODES, mass, sigma=0.0, v0=start)
-    else:
-        _, lowest = eigh(stiffness.toarray(), mass.toarray())
     dofs = [int(str(n["dof"])) for n in kind.nodes.values()]
-    unit = np.zeros((mass.shape[0], len(dofs)))
-    unit[dofs, np.arange(len(dofs))] = 1.0
-    flexible = splu(stiffness.tocsc()).solve(unit)
-    whole = len(lowest) == lowest.shape[1]  # all modes: the places' own are among them
-    basis, _ = qr(lowest if whole else np.hstack([lowest, flexible]), mode="economic")
+    size = mass.shape[0]
+    if size <= 2 * MODES:
+        basis = np.eye(size)  # all modes
+    else:
+        start = np.random.default_rng(0).normal(size=size)
+        _, lowest = eigsh(stiffness, MODES, mass, sigma=0.0, v0=start)
+        unit = np.zeros((size, len(dofs)))
+        unit[dofs, np.arange(len(dofs))] = 1.0
+        basis, _ = qr(np.hstack([lowest, splu(stiffness.tocsc()).solve(unit)]), mode="economic")
     squares, own = eigh(basis.T @ (stiffness @ basis), basis.T @ (mass @ basis))
     shapes = basis @ own
     turning = kind.matrices.get("G")

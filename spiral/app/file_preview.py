@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,15 +40,14 @@ def describe_file(order: Order, tell: Tell) -> None:
     InputError : a file that cannot be read, or in which there is no column of numbers.
     """
     tell("progress", {"words": "reading the file"})
+    name = Path(order["path"]).name
     table = read_table(order["path"], order.get("separator"), order.get("decimal"))
-    numbers = {n: v for n in table.columns[:_MOST] if (v := _column_numbers(table, n)) is not None}
-    left_out = _interrupted_columns(table, numbers)
+    numbers, left_out = _read_columns(replace(table, name=name))
     if not numbers:
-        name, column_names = Path(order["path"]).name, ", ".join(table.columns[:9])
         if left_out:
             raise left_out[0]
         raise InputError(
-            f"{name}: no column of numbers among {column_names}",
+            f"{name}: no column of numbers among {', '.join(table.columns[:9])}",
             "columns of numbers, one row for each sample", "export it with a row of names",
         )  # fmt: skip
     columns = [
@@ -68,32 +67,29 @@ def describe_file(order: Order, tell: Tell) -> None:
         {
             "columns": columns,
             "rows": rows,
-            "left_out": [_without_folder(error, order["path"]) for error in left_out],
+            "left_out": [error.as_dict() for error in left_out],
             "systems": _describe_systems(order.get("plugins")),
             "drawn": True,
         },
     )
 
 
-def _interrupted_columns(table: Table, numbers: Mapping[str, Any]) -> list[InputError]:
-    """What is wrong with columns that begin with a number and hold a text further on."""
-    wrong = []
+def _read_columns(table: Table) -> tuple[dict[str, Any], list[InputError]]:
+    """Numbers by column; what is wrong with columns that begin with a number and hold a text."""
+    numbers, wrong = {}, []
     for name in table.columns[:_MOST]:
-        values = table.values[name]
-        if name in numbers or not any(
-            isinstance(v, str) and _is_number(v) for v in values[:_FIRST]
-        ):
-            continue
+        cells = table.values[name]
         try:
-            table.column(name, name, 0, len(values), missing=True)
+            values = table.column(name, name, 0, len(cells), missing=True)
         except InputError as error:
-            wrong.append(error)
-    return wrong
-
-
-def _without_folder(error: InputError, path: str) -> dict[str, str]:
-    """The message with the file's name in place of its path."""
-    return {k: v.replace(path, Path(path).name) for k, v in error.as_dict().items()}
+            if any(isinstance(cell, str) and _is_number(cell) for cell in cells[:_FIRST]):
+                wrong.append(error)
+        except TypeError:
+            continue
+        else:
+            if np.isfinite(values).any():
+                numbers[name] = values
+    return numbers, wrong
 
 
 def _is_number(text: str) -> bool:
@@ -101,16 +97,6 @@ def _is_number(text: str) -> bool:
         return np.isfinite(float(text))
     except ValueError:
         return False
-
-
-def _column_numbers(table: Table, name: str) -> Any:
-    """A column's numbers; nothing where it holds text, or none at all."""
-    try:
-        rows = len(table.values[name])
-        values = table.column(name, name, 0, rows, missing=True)
-    except (InputError, TypeError):
-        return None
-    return values if np.isfinite(values).any() else None
 
 
 def _write_columns_figure(numbers: Mapping[str, Any], table: Table, target: Path) -> None:

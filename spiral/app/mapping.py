@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
+from pathlib import Path
 from typing import Any
 
 from nicegui import ui
@@ -19,6 +20,7 @@ from spiral.app.file_setup import OpenFile
 from spiral.app.reading_setup import draw_reading_setup
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.app.session import Session
+from spiral.io.readers.formats import is_text
 from spiral.types.errors import SpiralError
 from spiral.types.formatting import number
 from spiral.view.report import text
@@ -91,7 +93,7 @@ class MappingPage:
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
                 self._draw_advice(opened.setup)
-            if not opened.setup.columns and opened.setup.may_be_text():
+            if not opened.setup.columns and is_text(Path(opened.setup.path)):
                 self._draw_text_layout(opened.setup)
 
     def _draw_advice(self, setup: RecordSetup) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from spiral.app.study import FOLDER, UPLOADS, data_converter
-from spiral.io.readers.formats import detect_format
 from spiral.io.run_id import new_run_id
 from spiral.io.storage import read_text_inside
 from spiral.io.writing import to_json, write_whole
@@ -110,12 +109,6 @@ class RecordSetup:
         """Paths of the files to fit, or of those to test."""
         own = [self.path] if use == FIT else []
         return own + [o["path"] for o in self.others if o["use"] == use]
-
-    def may_be_text(self) -> bool:
-        """Whether the file could be read with another separator or decimal mark."""
-        return detect_format(b"", Path(self.path).suffix) == "text" and "binary file" not in (
-            self.trouble or {}
-        ).get("given", "")
 
     def system(self) -> Mapping[str, Any] | None:
         """The system chosen."""

@@ -115,15 +115,21 @@ def _store_sample(k, c, x, rows, means):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _advance_parameter_slopes(flow, x, stages, at, substeps, step, values, f, own, work):
-    """The flow where its slopes by the states are those of the sample before: only the others."""
-    n = f.shape[0]
+def _advance_sample(flow, x, stages, k, substeps, dt, values, same, f, work, own, own_work):
+    """x a sample on, and its slopes f by states and parameters.
+
+    Where those by the states are the ``same`` as at the sample before, the others (``own``) alone.
+    """
+    n, at, step = f.shape[0], k * substeps * 3, dt / substeps
+    if not same:
+        reset_to_identity(f)
+        flow(x, stages, at, 3, substeps, step, values, f, work, 0)
+        return
     own[:] = 0.0
-    flow(x, stages, at, 3, substeps, step, values, own, work, n)
+    flow(x, stages, at, 3, substeps, step, values, own, own_work, n)
     for i in range(n):
-        for j in range(own.shape[1]):
-            if n + j < f.shape[1]:
-                f[i, n + j] = own[i, j]
+        for j in range(min(own.shape[1], f.shape[1] - n)):
+            f[i, n + j] = own[i, j]
 
 
 @nb.njit(**LOOP, fastmath=_FAST)
@@ -135,7 +141,7 @@ def _predict_along(
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
     size, width = len(q), slopes.shape[2]
-    n, first, half, step = len(states), len(followed_states), 0.5 * dt, dt / substeps
+    n, first, half = len(states), len(followed_states), 0.5 * dt
     k = 0
     for k in range(y.shape[0]):
         write_tracked(values, followed, followed_states)
@@ -149,13 +155,8 @@ def _predict_along(
             break
         write_tracked(values, followed, followed_states)
         add_forces(x, driven, entries, first, half)
-        if constant and k > 0:
-            _advance_parameter_slopes(
-                flow, x, stages, k * substeps * 3, substeps, step, values, f, own, own_work
-            )
-        else:
-            reset_to_identity(f)
-            flow(x, stages, k * substeps * 3, 3, substeps, step, values, f, work, 0)
+        _advance_sample(flow, x, stages, k, substeps, dt, values, constant and k > 0, f, work,
+                        own, own_work)  # fmt: skip
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
         transition_rows(f, driven, entries, first, half, a, turned)
@@ -279,19 +280,15 @@ def _vary_along(
                     space, misses[v, k], spreads[v, k])  # fmt: skip
         if k == samples - 1:
             break
-        for i in range(size):
-            here[i] = means[k, i]
-        write_tracked(values, followed, followed_states)
-        add_forces(here, driven, entries, first, 0.5 * dt)
-        if not constant or k == 0:
-            reset_to_identity(f)
-            flow(here, stages, k * substeps * 3, 3, substeps, dt / substeps, values, f, work, 0)
-        elif first > n:
-            _advance_parameter_slopes(
-                flow, here, stages, k * substeps * 3, substeps, dt / substeps, values, f, own,
-                own_work,
-            )  # fmt: skip
-        transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
+        same = constant and k > 0
+        if not same or first > n:  # else all of F is that of the sample before
+            for i in range(size):
+                here[i] = means[k, i]
+            write_tracked(values, followed, followed_states)
+            add_forces(here, driven, entries, first, 0.5 * dt)
+            _advance_sample(flow, here, stages, k, substeps, dt, values, same, f, work, own,
+                            own_work)  # fmt: skip
+            transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
             _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
             apply_transition(product, a, phis[v], links, p[v], w, n, size)

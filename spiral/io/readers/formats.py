@@ -109,6 +109,15 @@ def detect_format(head: bytes, suffix: str) -> str:
     return _EXTENSIONS.get(suffix.lower(), "text")
 
 
+def is_text(path: Path) -> bool:
+    """Whether a file is read as text, whatever stands between its columns."""
+    try:
+        head = _read_head(path.name, path)
+        return detect_format(head, path.suffix) == "text" and bool(_detect_encoding("", head))
+    except InputError:
+        return False
+
+
 def read_text(
     given: str, path: Path, head: bytes, separator: str | None = None, decimal: str | None = None
 ) -> Table:
