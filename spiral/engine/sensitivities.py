@@ -8,7 +8,6 @@ a rank-revealing step (a direction of the state that the window does not show is
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,11 +24,12 @@ from spiral.engine.elimination import (
 from spiral.engine.kernel import advance_windows, drive_states, trajectories
 from spiral.engine.series import Series
 from spiral.engine.study import CompiledStudy, Layouts, ParameterColumns, Point
-from spiral.engine.threads import THREADS
+from spiral.engine.threads import run_in_threads
 from spiral.engine.windows import WindowLayout
 from spiral.types.record import Array
 
 _PIECE = 4096  # samples in memory at a time
+_ENOUGH = 4  # batches from which threads pay
 _CURVATURE = 0.05  # rad per knot^2: expected second difference of a phase correction
 
 
@@ -197,10 +197,9 @@ def drive_effect_states(study: CompiledStudy, record: int, states: Array, row: A
 
 
 def _map_batches(work, batches: list[_Batch]) -> list:
-    if len(batches) < 2 * THREADS:
+    if len(batches) < _ENOUGH:
         return [work(batch) for batch in batches]
-    with ThreadPoolExecutor(THREADS) as pool:
-        return list(pool.map(work, batches))
+    return run_in_threads(work, batches)
 
 
 def _window_batches(layouts: Layouts) -> Iterator[_Batch]:

@@ -1,21 +1,65 @@
-"""One thread inside linear algebra: the windows are shared by threads already.
+"""Threads that share independent work, and one thread inside linear algebra.
 
-Small decompositions lose by threads of their own (measured: half the processor time saved), and
-results then do not depend on how many threads a machine has.
+Windows, records and fits of candidates are shared by threads; small decompositions lose by threads
+of their own (measured: half the processor time saved). No result depends on how many threads a
+machine has.
 """
 
 from __future__ import annotations
 
+import contextvars
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import ParamSpec, TypeVar
 
-THREADS = min(2, int(os.environ.get("NUMBA_NUM_THREADS", "2")))
-"""Threads that share the windows or records of one step; no result depends on their number."""
+
+def _usable_threads() -> int:
+    """Cores that this process may use, or what ``NUMBA_NUM_THREADS`` says."""
+    given = os.environ.get("NUMBA_NUM_THREADS")
+    if given is not None:
+        return max(int(given), 1)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+THREADS = _usable_threads()
+"""Threads that share the windows, records or fits of one step."""
+_AT_ONCE = 2_000_000  # samples that threads beyond the second may hold in passes at once
+_inside = contextvars.ContextVar("inside", default=False)
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Job = TypeVar("Job")
+
+
+def run_in_threads(run: Callable[[Job], R], jobs: Sequence[Job], samples: int = 0) -> list[R]:
+    """Results of a function of every job, in their order, on up to ``THREADS`` threads.
+
+    Work that is itself one of such jobs is done in its own thread. What a context variable says
+    (how NumPy treats an overflow) holds in the threads too. ``samples`` is the size of a job, which
+    limits how many run at once: memory grows with them.
+    """
+    most = min(THREADS, max(2, _AT_ONCE // max(samples, 1)), len(jobs))
+    if most < 2 or _inside.get():
+        return [run(job) for job in jobs]
+
+    def run_inside(job: Job) -> R:
+        _inside.set(True)
+        return run(job)
+
+    contexts = [contextvars.copy_context() for _ in jobs]
+    with ThreadPoolExecutor(most) as pool:
+        started = [
+            pool.submit(c.run, run_inside, job) for c, job in zip(contexts, jobs, strict=True)
+        ]
+        try:
+            return [one.result() for one in started]
+        finally:
+            for one in started:
+                one.cancel()
 
 
 def one_blas_thread(step: Callable[P, R]) -> Callable[P, R]:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, wraps
+from threading import RLock
 from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
+_LOCK = RLock()  # symbolic algebra and compilers are not made for several threads
 
 
 def kept(size: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorator: cache the last ``size`` results of a function without side effects.
 
     Where an argument has no hash (a plugin may have a list for a field) the function is called.
+    Only one thread at a time is inside such functions: they trace and compile, and must not wait
+    for other threads.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -24,8 +28,10 @@ def kept(size: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 hash((args, tuple(kwargs.values())))
             except TypeError:
-                return function(*args, **kwargs)
-            return results(*args, **kwargs)
+                with _LOCK:
+                    return function(*args, **kwargs)
+            with _LOCK:
+                return results(*args, **kwargs)
 
         return cached_call
 

@@ -35,11 +35,11 @@ from spiral.engine.likelihood.predict import (
     Prediction,
     log_likelihood,
     predict_cases,
-    run_in_threads,
     vary_noise,
 )
 from spiral.engine.likelihood.steps import drop_bounded_columns, next_damped_step
 from spiral.engine.score import residual_block_samples
+from spiral.engine.threads import run_in_threads
 from spiral.types.record import Array
 
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
@@ -295,7 +295,9 @@ class _Search:
         def vary_sizes(r: int) -> list[tuple[Array, Array]]:
             return vary_noise(*at.prepared[r], at.noise, others, runs[r])
 
-        changes = run_in_threads(vary_sizes, range(len(runs))) if names else []
+        samples = len(names) * max(len(p.misses) for p in runs)
+        with np.errstate(all="ignore"):
+            changes = run_in_threads(vary_sizes, range(len(runs)), samples) if names else []
         sizes = {
             n: tuple(
                 _size_slopes(p, *other[j]) for p, other in zip(at.predictions, changes, strict=True)

@@ -19,6 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 import sympy as sp
 
+from spiral.engine.threads import run_in_threads
 from spiral.physics.compile import CompiledModel, compile_model
 from spiral.physics.signatures import Own, SystemMotion, effect_inputs, port_motion_along
 from spiral.physics.trace import TracedModel
@@ -60,11 +61,16 @@ def own_states_along(
     own = len(compiled.traced.states) - 2 * axes
     states = np.zeros((copies, count, own))
     states[:, 0] = _first_own_states(effect, position)
-    drive_own_states(
-        compiled.rate_value, np.ascontiguousarray(np.hstack([position, velocity])),
-        np.ascontiguousarray(np.hstack([middle, turning])), np.ascontiguousarray(inputs), values,
-        dt, states,
-    )  # fmt: skip
+    motion, between = (
+        np.ascontiguousarray(np.hstack(m)) for m in ((position, velocity), (middle, turning))
+    )
+    inputs = np.ascontiguousarray(inputs)
+
+    def drive(copy: int) -> None:
+        one = slice(copy, copy + 1)
+        drive_own_states(compiled.rate_value, motion, between, inputs, values[one], dt, states[one])
+
+    run_in_threads(drive, range(copies), count)
     return states
 
 

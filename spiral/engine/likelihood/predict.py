@@ -7,11 +7,9 @@ over samples k and channels j, each predicted from all that came before it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 
@@ -20,14 +18,12 @@ from spiral.engine.filter.extended import FilterInputs, FilterSettings, tracked_
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, noise_matrices
 from spiral.engine.series import Series
-from spiral.engine.threads import THREADS
+from spiral.engine.threads import run_in_threads
 from spiral.physics.flow import Flow, compile_flow
 from spiral.physics.linearity import jacobian_parameters
 from spiral.types.record import Array
 
 RUNAWAY = -1e300
-Job = TypeVar("Job")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -179,20 +175,13 @@ def predict_cases(
     def predict_job(job: tuple[FilterInput, FilterSettings, NoiseModel]) -> Prediction:
         return predict_readings(*job, keys, keep)
 
-    flat, grouped, at = run_in_threads(predict_job, jobs), [], 0
+    samples = max(task.series.samples for task, _, _ in jobs)
+    with np.errstate(all="ignore"):
+        flat, grouped, at = run_in_threads(predict_job, jobs, samples), [], 0
     for prepared, _ in cases:
         grouped.append(tuple(flat[at : at + len(prepared)]))
         at += len(prepared)
     return grouped
-
-
-def run_in_threads(run: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-    """Results of a function of every job, on up to ``THREADS`` threads."""
-    with np.errstate(all="ignore"):
-        if len(jobs) == 1 or THREADS == 1:
-            return [run(job) for job in jobs]
-        with ThreadPoolExecutor(THREADS) as pool:
-            return list(pool.map(run, jobs))
 
 
 Masks = Sequence[Array | None] | None

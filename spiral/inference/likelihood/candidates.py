@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from spiral.engine.likelihood.fit import SlopeCache
 from spiral.engine.likelihood.noise import EXTRA, NoiseModel, first_noise
 from spiral.engine.likelihood.predict import Masks
 from spiral.engine.score import Score
+from spiral.engine.threads import run_in_threads
 from spiral.inference.evidence.admission import refit_start_values
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.enlarge import transfer_fit_state as carried_to
@@ -31,6 +32,7 @@ from spiral.inference.likelihood.fitting import (
     fit_by_likelihood,
     has_still_state,
     is_random_force_small,
+    longest,
     restart_vanished_noise,
     schwarz_penalty,
     with_tracked_values,
@@ -38,6 +40,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.initial_states import narrow_initial_states
 from spiral.inference.likelihood.shapes import refit_effect_shapes
 from spiral.inference.problem import Progress
+from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
 
 _HEAT, _RACE = 3, 12  # scoring steps, at most: for all rivals, and for those that keep up
@@ -158,18 +161,18 @@ class Race:
         promised = _PROMISED * runners[0].ranked.score.gain
         least = _keep_threshold(_KEEP, runners[0].worth)
         near = [r for r in runners if r.worth >= least or r.ranked.score.gain >= promised]
-        for runner in near:
-            self.progress(f"refitting with {runner.label}")
-        again = [_refine_rival(self.base, r, self.masks) for r in near]
+        self.progress(f"refitting with {first_words([r.label for r in near])}")
+        again = self._of_each(near, lambda r: _refine_rival(self.base, r, self.masks))
         least = _keep_threshold(_NEAR, max(r.worth for r in again))
         rising = zip(near, again, strict=True)  # what it has just won it may win once more
         fit = [r for was, r in rising if r.worth + max(r.worth - was.worth, 0.0) >= least]
-        kept = [_restart_rival_noise(self.base, r, self.masks) for r in fit]
-        last = sorted((self._continue(r, _RACE) for r in kept), key=lambda r: -r.worth)
+        kept = self._of_each(fit, lambda r: _restart_rival_noise(self.base, r, self.masks))
+        further = self._of_each(kept, lambda r: _continue_rival(self.base, r, self.masks, _RACE))
+        last = sorted(further, key=lambda r: -r.worth)
         return [_try_other_shapes(self.assembly, self.base, last[0], self.masks), *last[1:]]
 
-    def _continue(self, rival: Rival, steps: int) -> Rival:
-        return _continue_rival(self.base, rival, self.masks, steps)
+    def _of_each(self, rivals: Sequence[Rival], fit: Callable[[Rival], Rival]) -> list[Rival]:
+        return run_in_threads(fit, rivals, longest(self.base.estimate.prepared))
 
 
 def _keep_threshold(share: float, worth: float) -> float:
@@ -189,10 +192,13 @@ def start_race(
     far = (
         [] if is_random_force_small(base) else second_basin_candidates(assembly, base.state, scored)
     )
-    runners = []
-    for ranked in [*select_promising(scored, most), *far]:
+
+    def fit_briefly(ranked: RankedCandidate) -> Rival:
         progress(f"refitting with {ranked.variant.original.label}")
-        runners.append(fit_candidate_briefly(assembly, base, ranked, masks, ranked in far))
+        return fit_candidate_briefly(assembly, base, ranked, masks, ranked in far)
+
+    chosen = [*select_promising(scored, most), *far]
+    runners = run_in_threads(fit_briefly, chosen, longest(base.estimate.prepared))
     return Race(assembly, base, masks, progress, _sort_by_worth(runners))
 
 

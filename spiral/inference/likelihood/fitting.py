@@ -323,6 +323,11 @@ def schwarz_penalty(parameters: int, prepared: FilterInputs) -> float:
     return 0.5 * parameters * float(np.log(reading_count(prepared)))
 
 
+def longest(prepared: FilterInputs) -> int:
+    """The samples of the longest record."""
+    return max(task.series.samples for task, _ in prepared)
+
+
 def reading_count(prepared: FilterInputs) -> int:
     """The number N of readings in all records."""
     return sum(task.series.y.size for task, _ in prepared)

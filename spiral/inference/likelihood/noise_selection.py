@@ -23,6 +23,7 @@ from spiral.engine.filter.task import FilterInput, build_task
 from spiral.engine.likelihood.fit import MaximumLikelihood, maximise_likelihood
 from spiral.engine.likelihood.noise import EXTRA, STEEPEST, NoiseModel, NoiseTerm, size_limits
 from spiral.engine.likelihood.predict import FilterInputs, log_likelihood, predict_cases
+from spiral.engine.threads import run_in_threads
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
@@ -30,6 +31,7 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     continue_fit,
     is_white,
+    longest,
     schwarz_penalty,
 )
 from spiral.inference.problem import DECISIVE_ODDS, Progress
@@ -84,12 +86,23 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
         best = _best_additional_terms(fit.estimate)
         if not best:
             break
-        fits = [continue_fit(assembly, fit, noise, rough=True) for noise in best]
+        fits = _continue_with_each(assembly, fit, best)
         fit = max(fits, key=lambda f: _worth_beside(f.estimate, fit.estimate))
     if fit.estimate.finite and not is_white(assembly, fit):
         apart = _best_noise_model(fit.estimate, list(_separate_forces(fit.estimate)))
         fit = fit if apart is None else continue_fit(assembly, fit, apart.noise, rough=True)
     return _select_force_location(assembly, fit)
+
+
+def _continue_with_each(
+    assembly: Assembly, fit: LikelihoodFit, noises: Sequence[NoiseModel]
+) -> list[LikelihoodFit]:
+    """The fit continued with each of several noise models."""
+    return run_in_threads(
+        lambda noise: continue_fit(assembly, fit, noise, rough=True),
+        noises,
+        longest(fit.estimate.prepared),
+    )
 
 
 def reselect_noise_model(
@@ -210,12 +223,15 @@ def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
     """
     part = _liveliest_part(at)
     now = maximise_likelihood(part, (), at.noise, steps=_LOOK)
-    looks = []
-    for addition in (*additional_noise_terms(now), *_vibration_terms(now)):
+
+    def look_at(addition: AdditionalNoise) -> _TermTrial:
         noise = now.noise.with_terms(addition.terms, addition.values)
         look = maximise_likelihood(part, (), noise, steps=_LOOK)
         gain = look.log_likelihood - _noise_penalty(noise, at.noise, part) - now.log_likelihood
-        looks.append(_TermTrial(gain, look.noise, addition.terms[0].kind))
+        return _TermTrial(gain, look.noise, addition.terms[0].kind)
+
+    offered = (*additional_noise_terms(now), *_vibration_terms(now))
+    looks = run_in_threads(look_at, offered, longest(part))
     best = max(looks, key=lambda x: x.gain, default=None)
     if best is None:
         return []
@@ -235,8 +251,8 @@ def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
 def _likeliest_of_each_kind(at: MaximumLikelihood, looks: Sequence[_TermTrial]) -> list[NoiseModel]:
     """Of each kind the noise model that gains most on all records, where it does so by the odds."""
     kinds = dict.fromkeys(x.kind for x in looks)
-    of_kind = ([x.noise for x in looks if x.kind == kind] for kind in kinds)
-    best = (_best_noise_model(at, noises) for noises in of_kind)
+    of_kind = [[x.noise for x in looks if x.kind == kind] for kind in kinds]
+    best = run_in_threads(lambda n: _best_noise_model(at, n), of_kind, longest(at.prepared))
     return [b.noise for b in best if b is not None]
 
 

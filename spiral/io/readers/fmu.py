@@ -19,13 +19,14 @@ from typing import Any
 
 import numpy as np
 
+from spiral.engine.threads import THREADS
 from spiral.physics.outside import fmi
 from spiral.physics.outside.program import CalledProgram
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.identifier import identifier
 
-INSTANCES = 4  # threads that share a step (two), and one that asks beside them
+INSTANCES = THREADS + 2  # threads that share a step, and one that asks beside them
 _DIRECTIONAL = re.compile(rb'providesDirectionalDerivatives?\s*=\s*["\'](true|1)')  # both versions
 _CLOSE = 1e-4  # of a directional derivative to a difference, relative to the largest of a column
 

@@ -14,12 +14,13 @@ likely as both: then it takes the place of the two, at the price of fewer number
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spiral.engine.likelihood.noise import EXTRA
+from spiral.engine.threads import run_in_threads
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking, amplitude_keys
@@ -32,7 +33,9 @@ from spiral.inference.likelihood.candidates import Rival, start_race, unscored_c
 from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
+    continue_fit,
     fit_by_likelihood,
+    longest,
     schwarz_penalty,
 )
 from spiral.inference.likelihood.scores import rank_variants
@@ -54,6 +57,7 @@ from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
 from spiral.types.run import Comparison
 
+_LOOK = 3  # scoring steps after which a rival with the model's noise is to be likelier
 _PROMISING = 3  # candidates that are asked in place of two effects
 
 
@@ -236,15 +240,23 @@ def _contest_effects(
         finals += [rival for rival, _ in itertools.islice(race.winners(), len(known))]
     elif not finals:
         return None  # from there not even the effect itself would be found
-    of_effect: dict[str, Rival] = {}
-    for r in sorted((_with_model_noise(model, base, r) for r in finals), key=lambda r: -r.worth):
-        of_effect.setdefault(r.label, r)
-    best = list(of_effect.values())
+    best = _likeliest_of_each_effect(model, finals)
     asked = {e.label for e in known}
     twins = twin_rivals(ours, best)
     stay = {*indistinguishable_rivals([ours, *best], options.odds), *twins}
     left = tuple(x for x in others if x in stay or x not in asked)
     return _Contest(labels, ours, tuple(best), left, twins, ranked)
+
+
+def _likeliest_of_each_effect(model: LikelihoodFit, rivals: Sequence[Rival]) -> list[Rival]:
+    """The likeliest rival of each effect, with the model's noise where it prefers that."""
+    tuned = run_in_threads(
+        lambda r: _with_model_noise(model, r), rivals, longest(model.estimate.prepared)
+    )
+    of_effect: dict[str, Rival] = {}
+    for rival in sorted(tuned, key=lambda r: -r.worth):
+        of_effect.setdefault(rival.label, rival)
+    return list(of_effect.values())
 
 
 def _is_variant_of(one: RankedCandidate, admitted: tuple[Variant, ...]) -> bool:
@@ -264,9 +276,19 @@ def _model_as_rival(
     return Rival(assembly, unscored_candidate(admitted[0]), model, gain, worth)
 
 
-def _with_model_noise(model: LikelihoodFit, base: LikelihoodFit, rival: Rival) -> Rival:
-    """A rival with the model's noise, where that is likelier."""
-    fit = fit_by_likelihood(rival.assembly, rival.fit.state, model.estimate.noise, rough=True)
+def _with_model_noise(model: LikelihoodFit, rival: Rival) -> Rival:
+    """A rival with the model's noise, where that is likelier.
+
+    A few steps tell: where the two are alike, the rival is near its maximum from the start; where
+    they are not, its misses are many times that noise, and no step would lead there.
+    """
+    noise, own = model.estimate.noise, rival.assembly
+    look = fit_by_likelihood(
+        own, rival.fit.state, noise, steps=_LOOK, rough=True, differences=False
+    )
+    if not (look.estimate.finite and look.log_likelihood > rival.fit.log_likelihood):
+        return rival
+    fit = continue_fit(own, look, rough=True)
     more = fit.log_likelihood - rival.fit.log_likelihood
     if not (fit.estimate.finite and more > 0):
         return rival
