@@ -80,7 +80,7 @@ def rank_last_round(
 def _recheck_look_alikes(
     strategy: Strategy, assembly: Assembly, at: Checkpoint, step: Step, progress: Progress
 ) -> tuple[Checkpoint, Step]:
-    """Drop look-alikes that the final model can distinguish; a likelier one replaces its effect.
+    """Look-alikes asked again on the final model; a likelier one replaces its effect.
 
     The details of a round keep those that were dropped as ``told_apart``; the step returned puts
     a likelier look-alike in the place of its effect, where there is one.
@@ -95,7 +95,7 @@ def _recheck_look_alikes(
         return at, step
     promising = _promising_labels(at.rounds)
     again = strategy.ask_again(assembly, at.fit_state, last.comparison, asked, promising, progress)
-    rounds = tuple(_drop_told_apart(r, asked, again.aliases) for r in earlier)
+    rounds = tuple(_with_look_alikes(r, asked, again.aliases) for r in earlier)
     return Checkpoint((*rounds, last), at.fit_state), again.step or step
 
 
@@ -110,20 +110,25 @@ def _promising_labels(rounds: Sequence[Round]) -> dict[str, tuple[str, ...]]:
     }  # fmt: skip
 
 
-def _drop_told_apart(
+def _with_look_alikes(
     one: Round, asked: Mapping[str, tuple[str, ...]], left: Mapping[str, tuple[str, ...]]
 ) -> Round:
-    gone = {
-        label: [x for x in asked[label] if x not in left.get(label, ())]
-        for label in one.aliases if label in asked
-    }  # fmt: skip
+    """A round with the look-alikes that the final model leaves: fewer, or one more.
+
+    A twin whose fit was held up while another effect was missing comes to light only here.
+    """
+    admitted = {k: v for k, v in one.aliases.items() if k in asked}
+    gone = {k: [x for x in asked[k] if x not in left.get(k, ())] for k in admitted}
+    new = {k: tuple(x for x in left.get(k, ()) if x not in v) for k, v in admitted.items()}
     gone = {label: others for label, others in gone.items() if others}
-    if not gone:
+    if not gone and not any(new.values()):
         return one
     aliases = {
-        k: tuple(x for x in v if x not in gone.get(k, ())) for k, v in one.aliases.items()
-    }  # fmt: skip
-    return replace(one, aliases=aliases, details={**one.details, "told_apart": gone})
+        k: (*(x for x in v if x not in gone.get(k, ())), *new.get(k, ()))
+        for k, v in one.aliases.items()
+    }
+    details = {**one.details, "told_apart": gone} if gone else one.details
+    return replace(one, aliases=aliases, details=details)
 
 
 def choose_candidate(

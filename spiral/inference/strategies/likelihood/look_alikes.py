@@ -92,7 +92,7 @@ def recheck_admitted(
         again = _contest_effects(options, assembly, model, (admitted,), others, progress)
         if again is None:
             continue
-        left[label] = tuple(x for x in aliases.get(label, ()) if x in again.aliases)
+        left[label] = again.untold(aliases.get(label, ()))
         likelier = again.find_likelier(options, comparison, progress)
         if likelier is not None:
             return left, likelier
@@ -177,6 +177,15 @@ class _Contest:
     aliases: tuple[str, ...]
     twins: tuple[str, ...]
     ranking: Ranking
+
+    def untold(self, before: tuple[str, ...]) -> tuple[str, ...]:
+        """Effects not told from ours: those that were ``before``, and any others that were fitted.
+
+        A twin whose fit was held up while another effect was missing is found here for the first
+        time.
+        """
+        fitted = {r.label for r in self.others}
+        return tuple(x for x in self.aliases if x in before or x in fitted)
 
     def find_likelier(
         self, options: LikelihoodOptions, comparison: Comparison, progress: Progress
