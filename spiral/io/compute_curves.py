@@ -30,7 +30,7 @@ from spiral.inference.problem import Problem, Progress, silent
 from spiral.inference.where.latent import LatentForce, add_latent_force, smoothed_states
 from spiral.inference.where.regions import WorstRecord, locate_failure, worst_record_failure
 from spiral.inference.where.surface import rank_force_shapes
-from spiral.io.curves import FINAL, Curves
+from spiral.io.curves import FINAL, INPUT, Curves
 from spiral.physics.couplings import couplings_of
 from spiral.physics.passivity import implausible_signs
 from spiral.types.label import owner_of
@@ -250,7 +250,7 @@ def _record_curves(kept: dict[str, Array], problem: Problem) -> list[dict[str, A
         kept[f"{number}.y"] = y.astype(np.float32)
         for name, values in record.inputs.items():
             exact = name == "phase"  # a phase of thousands of turns needs all its digits
-            kept[f"{number}.{name}"] = values if exact else values.astype(np.float32)
+            kept[f"{number}.{INPUT}.{name}"] = values if exact else values.astype(np.float32)
     return [_describe_record(part, record) for part, record in chosen]
 
 

@@ -23,11 +23,15 @@ from spiral.types.record import Array
 
 FILE = "curves.npz"
 SEED, FINAL = "seed", "final"
+INPUT = "input"  # before an input's name, which may be that of something else (``y``)
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Arrays by name, ``RECORD.what`` or ``RECORD.MODEL.what``, and what they mean."""
+    """Arrays by name, and what they mean.
+
+    Names are ``RECORD.what``, ``RECORD.input.NAME`` or ``RECORD.MODEL.what``.
+    """
 
     meta: Mapping[str, Any]
     arrays: Mapping[str, Array] = field(default_factory=dict)
@@ -36,6 +40,11 @@ class Curves:
         """One array in double precision, or nothing."""
         array = self.arrays.get(".".join(map(str, key)))
         return None if array is None else np.asarray(array, dtype=float)
+
+    def get_input(self, record: int, name: str) -> Array | None:
+        """An input of a record; files that were written before have it under its name alone."""
+        array = self.get(record, INPUT, name)
+        return self.get(record, name) if array is None and name in ("phase", "speed") else array
 
     @property
     def tested(self) -> int:

@@ -23,12 +23,19 @@ from spiral.types.system import System
 Array = np.ndarray
 
 
-def check_rest(compiled: CompiledModel, system: System, effects: Sequence[Effect]) -> None:
+def check_rest(
+    compiled: CompiledModel,
+    system: System,
+    effects: Sequence[Effect],
+    candidates: Sequence[Effect] = (),
+) -> None:
     """Evaluate a compiled model at rest; where it is not finite, find the effect that makes it so.
 
     Parameters
     ----------
     compiled : the model with all effects in use. effects : those, under their own labels.
+    candidates : more of them, which are asked at rest alone: where the system itself is a number
+        only elsewhere, the records say whether they are (``undefined_effects_along``).
 
     Raises
     ------
@@ -42,7 +49,7 @@ def check_rest(compiled: CompiledModel, system: System, effects: Sequence[Effect
         at, alone = 1.0, _evaluate_traced_at_rest(bare, 1.0)
     if not np.isfinite(alone[0]).all():
         raise _not_finite_error(f"system {system.plugin_name()!r}", system.plugin_name(), at)
-    for effect in effects:
+    for effect in (*effects, *(() if at else candidates)):
         beside = _evaluate_traced_at_rest(trace(system, (effect,)), at)
         if (_is_all_finite(alone) and not _is_all_finite(beside)) or not np.isfinite(
             beside[0]

@@ -22,7 +22,8 @@ class FilterSettings:
     ``process`` (n, n) covariance of the process noise per sample; ``noise`` (channels,) variances;
     ``start`` (n,) and ``covariance`` (n, n) before the first sample. ``tracked`` parameters are
     estimated as states, from their present value with standard deviation ``doubt`` and a random
-    walk of variance ``wander`` per sample. ``second_order``: the paper's transition. ``volume`` is
+    walk of variance ``wander`` per sample; ``correlation`` (tracked, tracked) of what is doubted of
+    them, none where it is empty. ``second_order``: the paper's transition. ``volume`` is
     1/2 log(|P'| / |P|), P' the ``covariance`` and P that of the machine's own motion: added to the
     log-likelihood, so that a filter with a narrowed initial covariance P' compares with one that
     begins with P (Laplace).
@@ -35,8 +36,18 @@ class FilterSettings:
     tracked: tuple[str, ...] = ()
     doubt: Array = field(default_factory=lambda: np.zeros(0))
     wander: Array = field(default_factory=lambda: np.zeros(0))
+    correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
     second_order: bool = False
     volume: float = 0.0
+
+    @property
+    def first_covariance(self) -> Array:
+        """(N, N) of states and tracked parameters before the first sample."""
+        full = block_diagonal(self.covariance, self.doubt**2)
+        if self.correlation.size:
+            n = len(self.covariance)
+            full[n:, n:] = self.correlation * np.outer(self.doubt, self.doubt)
+        return full
 
 
 Settings = FilterSettings
@@ -101,7 +112,7 @@ def filter_record(
     likelihood, done = extended_filter(
         flow.advance, compiled.rate, flow.output,
         np.concatenate([settings.start, task.values[tracked]]),
-        block_diagonal(settings.covariance, settings.doubt**2),
+        settings.first_covariance,
         task.values.copy(), tracked, task.inputs, task.series.substeps, task.series.dt,
         SECOND_ORDER if second else EXACT, np.ascontiguousarray(y),
         settings.noise, block_diagonal(settings.process, settings.wander), *arrays,

@@ -45,7 +45,7 @@ def filter_sigma_points(
     likelihood, done = unscented_filter(
         task.compiled.rate_value, task.compiled.output_value,
         np.concatenate([settings.start, task.values[tracked]]),
-        block_diagonal(settings.covariance, settings.doubt**2),
+        settings.first_covariance,
         task.values.copy(), tracked, task.inputs, task.series.substeps, task.series.dt,
         spread, table, y, settings.noise, block_diagonal(settings.process, settings.wander),
         *arrays,

@@ -7,6 +7,12 @@ With J the slopes of the readings by the start x_0 and the parameters p along th
 S_0 the first doubt of the states, V_p the covariance of the estimate, J_h and R the slopes and the
 noise on the samples that tell where the record begins. What a machine integrates grows with time;
 of a chaotic motion it grows until nothing is left to be predicted: sqrt(2) of its deviation.
+
+A machine that only its controller keeps upright is elsewhere in a free run, where slopes say
+nothing of how it fell. There it is asked how doubt grows along the motion that was measured, with F
+of a filter that follows it,
+
+    d(x, p)_{k+1} = F_k d(x, p)_k,    d(x, p) = (0, V_p^(1/2)) where the free run is on its own.
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
@@ -63,6 +70,32 @@ def free_doubt(
         doubt = np.sqrt(np.sum(parts**2, axis=2))
     most = np.sqrt(2.0) * deviations
     return np.minimum(np.nan_to_num(doubt, nan=np.inf, posinf=np.inf), most)
+
+
+def doubt_along_readings(
+    task: FilterInput, settings: FilterSettings, noise: NoiseModel, settled: int
+) -> Array:
+    """(samples - settled, channels) deviation by doubt of parameters, along the measured motion.
+
+    Parameters
+    ----------
+    settings : of a filter that tracks these parameters, ``doubt`` and ``correlation`` as of the
+        fit. noise : of the filter. settled : samples after which a free run is on its own.
+    """
+    n, tracked = len(task.states), len(settings.tracked)
+    most = np.sqrt(2.0) * task.series.deviations
+    doubt = np.broadcast_to(most, (task.series.samples - settled, len(most))).copy()
+    with np.errstate(all="ignore"):
+        run = predict_readings(task, settings, noise, carry=True)
+        along = np.zeros((n + tracked, tracked))
+        along[n:] = _covariance_root(settings.first_covariance[n:, n:])
+        for k in range(settled, run.done):
+            own = np.linalg.norm(run.rows[k, :, : n + tracked] @ along, axis=1)
+            if not np.all(own < _MOST * most):
+                break
+            doubt[k - settled] = np.minimum(own, most)
+            along = run.transitions[k, : n + tracked, : n + tracked] @ along
+    return doubt
 
 
 def _covariance_root(covariance: Array) -> Array:

@@ -194,7 +194,7 @@ def noise_matrices(task: FilterInput, settings: FilterSettings, noise: NoiseMode
     levels = {t.where: noise.values[t.size] for t in noise.terms if t.kind == "force"}
     steady = np.where(task.felt.any(axis=0), 0.0, noise_intensity(task, levels))
     q = block_diagonal(sampled_covariance(task, steady), settings.wander)
-    p = block_diagonal(settings.covariance, settings.doubt**2)
+    p = settings.first_covariance
     blocks = [b for t in noise.terms for b in _term_blocks(task, t, noise.values)]
     k = sum(len(b.phi) for b in blocks)
     phi, added, first = np.zeros((k, k)), np.zeros((k, k)), np.zeros((k, k))

@@ -165,7 +165,7 @@ def compile_with_variants(problem: Problem, variants: Sequence[Variant]) -> Comp
             effects.append(variant.companion)
             shifts.append(np.pi / 2)
     compiled = compile_model(trace(model.system, tuple(effects), tuple(shifts)))
-    check_rest(compiled, model.system, (*model.effects, *problem.candidates))
+    check_rest(compiled, model.system, model.effects, problem.candidates)
     return compiled
 
 
@@ -177,7 +177,8 @@ def check_candidates(problem: Problem) -> None:
     PluginError : a candidate that fails, or that is no number at rest.
     """
     model, effects = problem.model, (*problem.model.effects, *problem.candidates)
-    check_rest(compile_model(trace(model.system, effects)), model.system, effects)
+    compiled = compile_model(trace(model.system, effects))
+    check_rest(compiled, model.system, model.effects, problem.candidates)
 
 
 def _undefined_candidates(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:

@@ -61,6 +61,13 @@ class FreeRun:
         about = np.concatenate([part - part.mean(axis=0) for part in parts])
         return np.sqrt(np.mean(about**2, axis=0))
 
+    def is_lost(self, record: int) -> bool:
+        """Whether a record's run errs by more than all the motion of a channel."""
+        miss = self.misses()[record]
+        with np.errstate(all="ignore"):
+            off = np.sqrt(np.nanmean(miss**2, axis=0))
+        return not bool(np.all(off < self.deviations()))
+
     def misses(self) -> tuple[Array, ...]:
         """(samples, channels) predicted less measured, of what is scored; NaN where nothing is."""
         parts = zip(self.predicted, self.measured, self.settled, self.seen, strict=True)

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import FilterInput, state_jacobian
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.free_spread import free_spread
-from spiral.engine.likelihood.free_uncertainty import free_doubt
+from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
 from spiral.engine.likelihood.noise import NoiseModel, sensor_autocovariance, state_offsets
 from spiral.engine.likelihood.predict import predict_readings
@@ -183,6 +184,10 @@ def _free_run_uncertainty(
         settings = replace(settings, start=begin)
         forces.append(free_spread(own, settings, noise)[first:] ** 2)
         values = free_doubt(task, begin, estimate.keys, estimate.covariance, estimate.noise, first)
+        if run.is_lost(r) and estimate.keys:
+            tracked, known = _filter_of_doubt(task, (), estimate, {})
+            grown = doubt_along_readings(tracked, known, estimate.noise, first)
+            values = np.maximum(values, grown)
         unseen = hidden_force_spread(own, settings, estimate.noise, larger)[first:]
         doubts.append(values**2 + unseen**2)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -293,21 +298,24 @@ def _make_forecaster(
 ) -> Forecaster:
     """A forecaster: the filter with the noise of a fit, started from where free runs start.
 
-    It knows the parameters only as well as the fit does: of a machine that integrates, a value that
-    is off within its error would else carry it away from readings that it no longer listens to.
+    It knows the parameters only as well as the fit does, whose errors go together: of a machine
+    that integrates, a value that is off within its error would else carry it away from readings
+    that it no longer listens to.
     """
     noise = state.noise
     assert noise is not None
-    values, errors = estimate.values, estimate.errors
-    told = {k: e for k, e in errors.items() if 0 < e < abs(values[k])}
+    doubted = bool(_told_errors(estimate))
 
     def forecast(record: int, task: FilterInput, first: int, steps: int) -> tuple[Array, Array]:
         if begins := bool(np.all(np.isfinite(starts[record]))):
             task = replace(task, start=starts[record][0].copy())
             task = task if tracked else set_likely_initial_state(task, noise)
-        for more in (told, {}) if told else ({},):  # sure of its values where it runs away else
-            known = {**tracked_deviations(tracked), **more}
-            own, settings = filter_prepared(task, (*tracked, *more), known)
+        for doubt in (True, False) if doubted else (False,):  # sure where it runs away else
+            own, settings = (
+                _filter_of_doubt(task, tracked, estimate, tracked_deviations(tracked))
+                if doubt
+                else filter_prepared(task, tracked, tracked_deviations(tracked))
+            )
             if begins:
                 settings = replace(settings, start=task.start)
             run = predict_readings(own, settings, noise, keep=True)
@@ -317,6 +325,35 @@ def _make_forecaster(
         return lost, lost
 
     return forecast
+
+
+def _told_errors(estimate: MaximumLikelihood) -> dict[str, float]:
+    """Standard errors of the values that are larger than these."""
+    values = estimate.values
+    return {k: e for k, e in estimate.errors.items() if 0 < e < abs(values[k])}
+
+
+def _filter_of_doubt(
+    task: FilterInput, tracked: tuple[str, ...], estimate: MaximumLikelihood,
+    known: dict[str, float],
+) -> tuple[FilterInput, FilterSettings]:  # fmt: skip
+    """A filter that doubts the values of a fit as the fit does, and tracks more parameters."""
+    told = _told_errors(estimate)
+    own, settings = filter_prepared(task, (*tracked, *told), {**known, **told})
+    correlation = _error_correlation(estimate, settings.tracked)
+    return own, replace(settings, correlation=correlation)
+
+
+def _error_correlation(estimate: MaximumLikelihood, names: tuple[str, ...]) -> Array:
+    """(names, names) correlation of the errors of a fit; none with what the fit did not move."""
+    together = np.eye(len(names))
+    known = [i for i, name in enumerate(names) if name in estimate.keys]
+    at = [estimate.keys.index(names[i]) for i in known]
+    part = estimate.covariance[np.ix_(at, at)]
+    spread = np.sqrt(np.diag(part))
+    if np.all(np.isfinite(part)) and np.all(spread > 0):
+        together[np.ix_(known, known)] = part / np.outer(spread, spread)
+    return together
 
 
 def _relative_noise_floor(

@@ -273,10 +273,10 @@ def _best_noise_model(
         enough = at.log_likelihood + _noise_penalty(noise, at.noise, at.prepared) + worth
         steep = noise.has_kind("band") and not at.noise.has_kind("band")  # its order may rise yet
         trial = tune_noise(at.prepared, noise, -np.inf if steep else enough)
-        trial = _raise_low_pass_order(trial)
+        trial = _raise_low_pass_order(trial) if steep else trial
         if _worth_beside(trial, at) > worth:
             chosen, worth = trial, _worth_beside(trial, at)
-    return chosen
+    return None if chosen is None else _raise_low_pass_order(chosen)
 
 
 def tune_noise(

@@ -79,11 +79,15 @@ def _flat_directions(gram: Array, covariance: Array, sizes: Array, told: Array) 
     the noise's sizes move too.
     """
     scale = sizes[told]
-    values, vectors = np.linalg.eigh(gram[np.ix_(told, told)] * np.outer(scale, scale))
-    inverse = 1.0 / np.maximum(values, _FLATTEST)
-    pairs = list(zip(inverse, vectors.T, strict=True))
-    spread = covariance[np.ix_(told, told)] / np.outer(scale, scale)
-    if np.all(np.isfinite(spread)):
-        values, vectors = np.linalg.eigh(spread)
-        pairs += zip(values, vectors.T, strict=True)
+    information = gram[np.ix_(told, told)] * np.outer(scale, scale)
+    pairs = [(1.0 / max(x, _FLATTEST), v) for x, v in _eigenpairs(information)]
+    pairs += _eigenpairs(covariance[np.ix_(told, told)] / np.outer(scale, scale))
     return [np.sqrt(x) * v for x, v in pairs if x > _WHOLE**2]
+
+
+def _eigenpairs(matrix: Array) -> list[tuple[float, Array]]:
+    """Eigenvalues and vectors of a symmetric matrix; none where it is not finite."""
+    if not np.all(np.isfinite(matrix)):
+        return []
+    values, vectors = np.linalg.eigh(matrix)
+    return list(zip(values.tolist(), vectors.T, strict=True))

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from random import Random
 from typing import Any
 
 import sympy as sp
@@ -168,9 +169,9 @@ def _check_unit_sizes(
     """Terms of one size: in SI units the whole equation is the same but for a factor."""
     names = sorted(map(str, row.value.free_symbols))
     function = sp.lambdify([symbol(n) for n in names], row.value, _PLAIN)
-    ratios = []
-    for draw in range(6):
-        values = [1.0 + 0.37 * ((7 * i + 3 * draw) % 5) for i in range(len(names))]
+    ratios, random = [], Random(0)
+    for _ in range(6):  # at values of no pattern: equal ones cancel, and leave a rounding error
+        values = [random.uniform(1.0, 3.0) for _ in names]
         scaled = [v * sizes[n] for v, n in zip(values, names, strict=True)]
         with contextlib.suppress(ArithmeticError, ValueError):  # a root or a logarithm below zero
             ratios.append(function(*scaled) / function(*values))

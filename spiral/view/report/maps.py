@@ -58,7 +58,7 @@ def where_map(curves: Curves, record: int, model: str) -> go.Figure | None:
     if left is None:
         return None
     about = curves.meta["records"][record]
-    phase, speed = curves.get(record, "phase"), curves.get(record, "speed")
+    phase, speed = curves.get_input(record, "phase"), curves.get_input(record, "speed")
     left = left / np.array(list(about["sigma"].values()))
     orders = None
     if phase is not None and speed is not None:
@@ -109,7 +109,7 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
     """Rms error over the noise, against amplitude, against the rotor's angle, and per channel."""
     from spiral.inference.where.regions import envelope
 
-    y, phase = curves.get(record, "y"), curves.get(record, "phase")
+    y, phase = curves.get(record, "y"), curves.get_input(record, "phase")
     models = [m for m in curves.meta["models"] if free_run_error(curves, record, m) is not None]
     if y is None or not models:
         return None
@@ -181,7 +181,7 @@ def force_surface(curves: Curves, model: str) -> go.Figure | None:
     units = {s["name"]: s["unit"] for s in curves.meta["states"]}
     axes = about["axes"]
     series = {n: states[:, names.index(n)] for n in _surface_states(axes, names)}
-    phase = curves.get(number, "phase")
+    phase = curves.get_input(number, "phase")
     if phase is not None:
         series["angle"], units["angle"] = np.degrees(phase[first : first + len(force)]) % 360, "°"
     if not axes or not series:
@@ -276,7 +276,7 @@ def _oscillating_inputs(curves: Curves, record: int) -> dict[str, Array]:
     """Inputs as oscillating signals: a phase by its cosine; the speed is left out."""
     signals: dict[str, Array] = {}
     for item in curves.meta["inputs"]:
-        values: Any = curves.get(record, item["name"])
+        values: Any = curves.get_input(record, item["name"])
         if values is None or item["name"] == "speed":
             continue
         signals["cos θ" if item["name"] == "phase" else item["name"]] = (

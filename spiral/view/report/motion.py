@@ -72,7 +72,7 @@ def orbit(curves: Curves, record: int) -> go.Figure | None:
     """y over x in the turns of largest motion: the shaft's path, measured and modelled."""
     y, free = curves.get(record, "y"), curves.get(record, FINAL, "free")
     channels = curves.meta["channels"]
-    phase = curves.get(record, "phase")
+    phase = curves.get_input(record, "phase")
     if y is None or free is None or len(channels) != 2 or not np.isfinite(free).all():
         return None
     size = np.convolve(np.sum((y - y.mean(axis=0)) ** 2, axis=1), np.ones(64), "same")

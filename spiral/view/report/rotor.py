@@ -34,7 +34,8 @@ _LINES, _WEAK = 3, 0.03  # measured lines of a slice; share of the record's larg
 
 def bode(curves: Curves, record: int) -> go.Figure | None:
     """Amplitude and phase lag of the first order over speed, measured and modelled."""
-    y, phase, speed = (curves.get(record, k) for k in ("y", "phase", "speed"))
+    y = curves.get(record, "y")
+    phase, speed = (curves.get_input(record, k) for k in ("phase", "speed"))
     free = curves.get(record, FINAL, "free")
     if y is None or phase is None or speed is None or np.ptp(speed) < 1e-3 * np.abs(speed).max():
         return None
@@ -66,7 +67,8 @@ def bode(curves: Curves, record: int) -> go.Figure | None:
 
 def polar(curves: Curves, record: int) -> go.Figure | None:
     """The first order's vector of each channel as the speed changes: A (cos lag, -sin lag)."""
-    y, phase, speed = (curves.get(record, k) for k in ("y", "phase", "speed"))
+    y = curves.get(record, "y")
+    phase, speed = (curves.get_input(record, k) for k in ("phase", "speed"))
     if y is None or phase is None or speed is None or np.ptp(speed) < 1e-3 * np.abs(speed).max():
         return None
     channels, free = curves.meta["channels"], curves.get(record, FINAL, "free")
@@ -114,7 +116,7 @@ def _label_speeds(figure: Any, x: Array, y: Array, rpm: Array, column: int) -> N
 
 def waterfall(curves: Curves, record: int) -> go.Figure | None:
     """Spectra of every channel one behind the other, over speed (or time)."""
-    y, speed = curves.get(record, "y"), curves.get(record, "speed")
+    y, speed = curves.get(record, "y"), curves.get_input(record, "speed")
     if y is None:
         return None
     channels, about = curves.meta["channels"], curves.meta["records"][record]
@@ -140,7 +142,7 @@ def waterfall(curves: Curves, record: int) -> go.Figure | None:
 
 def whirl(curves: Curves, record: int) -> go.Figure | None:
     """Full spectrum, and its cascade: forward whirl to the right, backward to the left."""
-    y, speed = curves.get(record, "y"), curves.get(record, "speed")
+    y, speed = curves.get(record, "y"), curves.get_input(record, "speed")
     channels, about = curves.meta["channels"], curves.meta["records"][record]
     if y is None or len(channels) != 2 or speed is None:
         return None
@@ -259,7 +261,7 @@ def _draw_measured_lines(
     """The strongest lines of every slice of the measured record, the larger the stronger."""
     import plotly.graph_objects as go
 
-    y, speed = curves.get(record, "y"), curves.get(record, "speed")
+    y, speed = curves.get(record, "y"), curves.get_input(record, "speed")
     if y is None or speed is None:
         return
     spectrogram = _slice_spectra(y, curves.meta["records"][record]["dt"])
