@@ -56,8 +56,7 @@ def random_sentence(comparison: Comparison) -> str:
     if random_forces(comparison) and np.isfinite(comparison.disturbed):
         much = comparison.disturbed >= 1.0
         share = "all" if much else percent(comparison.disturbed)
-        what = "a free run" if much else "the motion"
-        said.append(f"random forces account for {share} of {what}")
+        said.append(f"random forces move a free run by {share} of the motion")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 

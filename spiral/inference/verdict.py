@@ -8,6 +8,9 @@ named as what was missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from spiral.inference.disturbances import (
     random_forces,
@@ -34,13 +37,13 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
-from spiral.types.effect import ForceEffect, ParameterEffect
+from spiral.types.effect import Effect, ForceEffect, ParameterEffect
 from spiral.types.formatting import first_words, number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.placement import at_every_place
 from spiral.types.run import Comparison, Round, StopReason, Verdict
-from spiral.types.system import place_name
+from spiral.types.system import System, place_name
 
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
@@ -313,7 +316,8 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
     if not named:
         return f"The model now contains {', '.join(admitted)}: {change}."
     words = ", ".join(
-        label_with_place(last.model, x) + _look_alikes_clause(rounds, x, admitted) for x in named
+        label_with_place(last.model, x) + _look_alikes_clause(last.model, rounds, x, admitted)
+        for x in named
     )
     said = f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
     if doubtful:
@@ -334,14 +338,17 @@ def _error_clause(first: Comparison, last: Comparison) -> str:
             f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; "
             "random forces or uncertain values move a free run too far)"
         )
-    errors = f"{percent(first.test_error)} -> {percent(last.test_error)}"
-    return f"test error {errors} (noise floor {floor})"
+    now = f"{percent(last.test_error)} (noise floor {floor})"
+    if not np.isfinite(first.test_error):
+        return f"the free run, which ran away without, is off by {now} on the test record"
+    return f"test error {percent(first.test_error)} -> {now}"
 
 
 def _growth_excuse(first: Comparison, last: Comparison) -> str:
     """Why a larger free-run error does not count against the effects; empty where it fell."""
     before, after = next_sample_error(first), next_sample_error(last)
-    if not last.test_error > first.test_error or before is None or after is None:
+    grown = last.test_error > first.test_error and not is_free_run_carried_away(last)
+    if not grown or before is None or after is None:
         return ""
     return (
         ", which noise and random forces explain in a free run; one sample ahead "
@@ -349,12 +356,22 @@ def _growth_excuse(first: Comparison, last: Comparison) -> str:
     )
 
 
-def _look_alikes_clause(rounds: Sequence[Round], label: str, admitted: tuple[str, ...]) -> str:
-    """An effect's look-alikes, in brackets; empty where there are none."""
+def _look_alikes_clause(
+    model: Model, rounds: Sequence[Round], label: str, admitted: tuple[str, ...]
+) -> str:
+    """An effect's look-alikes, in brackets; empty where there are none.
+
+    The same effect at the first place of a system, whose label leaves that out, is named with it.
+    """
     alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
     if not alike:
         return ""
-    return f" (or {first_words(list(alike))}: this record cannot tell them apart)"
+    ours = next((e for e in model.effects if e.label == label), None)
+    first = None if ours is None else replace(ours, port="")
+    names = [
+        effect_with_place(model.system, first) if first and first.label == x else x for x in alike
+    ]
+    return f" (or {first_words(names)}: this record cannot tell them apart)"
 
 
 def label_with_place(model: Model, label: str) -> str:
@@ -366,11 +383,16 @@ def label_with_place(model: Model, label: str) -> str:
     if isinstance(effect, ParameterEffect):
         port = model.system.place(effect)
         return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
-    if effect is None or effect.port or len(at_every_place(model.system, effect)) < 2:
-        return label
-    port = model.system.place(effect)
+    return label if effect is None else effect_with_place(model.system, effect)
+
+
+def effect_with_place(system: System, effect: Effect) -> str:
+    """An effect's label, with its place where the label leaves out that it is the first."""
+    if effect.port or len(at_every_place(system, effect)) < 2:
+        return effect.label
+    port = system.place(effect)
     name = port.name if isinstance(effect, ForceEffect) else place_name(port)
-    return f"{label} at {name}" if name else label
+    return f"{effect.label} at {name}" if name else effect.label
 
 
 def _curve_summary(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:

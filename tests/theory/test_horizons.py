@@ -13,9 +13,11 @@ from spiral_plugins.systems.oscillator import Oscillator
 import spiral
 from experiments.studies.signals import band_limited
 from spiral.engine.filter.noise import sampled_covariance
+from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task, state_jacobian
-from spiral.engine.likelihood.free_uncertainty import free_doubt
+from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.noise import first_noise
+from spiral.engine.likelihood.predict import predict_readings
 from spiral.inference.compare import compare
 from spiral.inference.evidence.horizons import FilterNoise, forecast_misses
 from spiral.inference.problem import Problem
@@ -235,3 +237,78 @@ def test_what_integrates_is_judged_by_what_it_is_known_to(drag):
     run = spiral.discover(make_record(system, "lift", time, {"z": z}, {"cmd": thrust}), system)
     assert run.missing == (("quadratic_damping",) if drag else ())
     assert run.verdict == ("effect_missing" if drag else "nothing_missing")
+
+
+def decaying():
+    """A record of x' = -(a + b) x + u, in which only the sum of a and b shows."""
+    time = 0.02 * np.arange(400)
+    system = spiral.system(
+        ["x' = u - (a + b)*x"], states={"x": "m"}, inputs={"u": "m/s"}, observed=["x"],
+        parameters={"a": (1.0, "1/s"), "b": (2.0, "1/s")},
+    )  # fmt: skip
+    model = seed_model(system, values={"system.a": 1.0, "system.b": 2.0})
+    push = {"u": np.sin(3 * time)}
+    record = simulate(model, time, push, 0.02, np.random.default_rng(3), {"x": 1.0})
+    return prepare_task(model, replace(record, noise=record.sigma()))
+
+
+def test_doubts_that_cancel_leave_predictions_sure():
+    """Of two rates of which one is as much too large as the other too small nothing shows."""
+    task, noise = decaying(), None
+    spreads = {}
+    for name, shared in (("apart", 0.0), ("cancelling", -1.0), ("together", 1.0)):
+        own, settings = prepare_filter(
+            task, ("system.a", "system.b"), {"system.a": 0.5, "system.b": 0.5}
+        )
+        settings = replace(settings, correlation=np.array([[1.0, shared], [shared, 1.0]]))
+        noise = noise or first_noise(own, 0.0)
+        spreads[name] = predict_readings(own, settings, noise).spreads
+    own, settings = prepare_filter(task, ())
+    sure = predict_readings(own, settings, noise).spreads
+    assert spreads["cancelling"] == pytest.approx(sure, rel=1e-9)
+    assert np.all(spreads["apart"][1:20] > 1.1 * sure[1:20])
+    assert np.all(spreads["together"][1:20] > spreads["apart"][1:20])
+
+
+def test_doubt_along_readings_is_the_slope_times_the_error(free):
+    """Of a linear machine the growth along what is measured is that of the free run itself."""
+    task, _ = free
+    key, error = "linear_stiffness.stiffness", 4.0
+    own, settings = prepare_filter(task, (key,), {key: error})
+    grown = doubt_along_readings(own, settings, first_noise(own, 0.0), 0)[:, 0]
+    runs = []
+    for step in (0.5, -0.5):
+        moved = task.with_values({key: task.values[task.keys.index(key)] + step})
+        sure, none = prepare_filter(moved, ())
+        still = replace(none, covariance=np.zeros_like(none.covariance))
+        runs.append(predict_readings(sure, still, first_noise(sure, 0.0)).misses[:, 0])
+    slope = np.abs(runs[0] - runs[1])
+    assert grown[50:] == pytest.approx(error * slope[50:], abs=0.05 * error * slope.max())
+
+
+def test_a_free_run_of_what_only_its_controller_holds_judges_nothing():
+    """An upright rod under feedback: it falls in a free run, and nothing is missing."""
+    rng, dt, samples = np.random.default_rng(0), 0.01, 2400
+    angle, rate, angles, torques, push = 0.0, 0.0, [], [], 0.0
+    for k in range(samples):
+        read = angle + 0.002 * rng.normal()
+        push = 0.3 * np.sin(2 * np.pi * 0.7 * k * dt) if k % 40 else rng.uniform(-0.5, 0.5)
+        torque = -22.0 * read - 3.0 * rate + push
+        angles.append(read)
+        torques.append(torque)
+        motion = solve_ivp(
+            lambda _, x, torque=torque: [x[1], 12.0 * np.sin(x[0]) - 0.1 * x[1] + torque],
+            (0, dt), [angle, rate], rtol=1e-9, atol=1e-12,
+        )  # fmt: skip
+        angle, rate = motion.y[:, -1]
+    system = spiral.system(
+        ["th'' = w*sin(th) - c*th' + T"], states={"th": "rad"}, inputs={"T": "rad/s^2"},
+        parameters={"w": (11.0, "1/s^2"), "c": (0.12, "1/s")}, free=["w", "c"], observed=["th"],
+    )  # fmt: skip
+    time, read = dt * np.arange(samples), {"th": np.array(angles)}
+    record = make_record(
+        system, "upright", time, read, {"T": np.array(torques)}, hold="zero_order"
+    )  # fmt: skip
+    run = spiral.discover(record, system, holdout=0.3)
+    assert run.verdict == "nothing_missing"
+    assert "a free run is no test here" in run.summary

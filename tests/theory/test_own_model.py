@@ -13,6 +13,7 @@ from spiral_plugins.effects.restoring import ConstantLoad
 
 import spiral
 from experiments.studies.signals import band_limited
+from spiral.io.compute_curves import gather_curves
 from spiral.io.config import build_system, compose
 from spiral.io.registry import NO_FOLDER, load_registry
 from spiral.io.storage import model_data, rebuild_model
@@ -409,6 +410,49 @@ class Given(dict):
     """Parameters by name, as attributes too."""
 
     __getattr__ = dict.__getitem__
+
+
+def test_a_candidate_that_stops_an_input_which_divides_is_asked_along_the_record():
+    """x' = a (s / y - x): y is never zero, but in a dead zone as wide as one it is."""
+    system = spiral.system(
+        ["x' = a*(s/y - x)"], states={"x": "m"}, inputs={"y": "1"}, observed=["x"],
+        parameters={"a": "0.06 1/s", "s": "1 m"}, free=["a"],
+    )  # fmt: skip
+    rng = np.random.default_rng(4)
+    y = np.repeat(rng.uniform(0.5, 4.0, 40), 50)
+    time = np.arange(y.size) * 0.5
+    x = solve_ivp(
+        lambda t, x: 0.05 * (1 / np.interp(t, time, y) - x), (0, time[-1]), [0.5],
+        t_eval=time, max_step=0.5, rtol=1e-8,
+    ).y[0]  # fmt: skip
+    seen = x + 0.01 * x.std() * rng.normal(size=x.size)
+    record = make_record(system, "divided", time, {"x": seen}, {"y": y})
+    run = spiral.discover(record, system, candidates=["input_dead_zone", "constant_flow"])
+    assert run.verdict == "nothing_missing"
+    assert abs(run.estimates().loc[("system", "a"), "estimate"] - 0.05) < 1e-3
+    assert run.question is not None
+    curves = gather_curves(run.question, {"final": run.rounds[-1].comparison})
+    measured, given = curves.get(0, "y"), curves.get_input(0, "y")  # the reading, and an input
+    assert measured is not None
+    assert given is not None
+    assert measured.shape == (given.size, 1)
+    assert measured[:, 0] == pytest.approx(seen[: given.size], rel=1e-6)
+
+
+@pytest.mark.parametrize("unit", ["mL", "uL", "pmol/L", "mm"])
+def test_terms_that_cancel_are_terms_of_one_unit(unit):
+    """Numbers at which two terms are equal leave a rounding error, which says nothing of units."""
+    rate, constants = f"({unit})/s", {"n": (1e-3, "1/s"), "base": (60.0, unit)}
+    for equation in ("x' = -n*(x - base) + u", "x' + n*x - n*base = u", "x' = n*(base - x) + u"):
+        spiral.system(
+            [equation], states={"x": unit}, inputs={"u": rate}, parameters=constants, observed=["x"]
+        )
+    with pytest.raises(ConfigError, match="cannot be added"):
+        spiral.system(
+            ["x' = -n*(x - base) + u"], states={"x": unit}, inputs={"u": rate},
+            parameters={**constants, "base": (60.0, {"mm": "m"}.get(unit, f"k{unit[1:]}"))},
+            observed=["x"],
+        )  # fmt: skip
 
 
 def test_equations_are_told_in_python_as_in_a_file(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spiral.engine import threads
-from spiral.engine.threads import run_in_threads
+from spiral.engine.threads import run_in_threads, split_among_threads
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +67,7 @@ def test_an_error_ends_the_rest_and_is_raised():
 def test_numpy_treats_an_overflow_as_where_the_jobs_were_given():
     def overflow(_: int) -> str:
         try:
-            np.float64(1e300) * np.float64(1e300)
+            _ = np.float64(1e300) * np.float64(1e300)
         except FloatingPointError:
             return "raised"
         return "let pass"
@@ -76,3 +76,15 @@ def test_numpy_treats_an_overflow_as_where_the_jobs_were_given():
         assert run_in_threads(overflow, range(4)) == ["raised"] * 4
     with np.errstate(over="ignore"):
         assert run_in_threads(overflow, range(4)) == ["let pass"] * 4
+
+
+def test_jobs_are_split_evenly_and_in_order():
+    for count in range(12):
+        parts = split_among_threads(list(range(count)))
+        assert [x for part in parts for x in part] == list(range(count))
+        assert len(parts) == min(4, count)
+        assert max(map(len, parts), default=0) - min(map(len, parts), default=0) <= 1
+
+
+def test_inside_a_thread_jobs_are_not_split():
+    assert run_in_threads(lambda _: len(split_among_threads(range(8))), range(4)) == [1] * 4

@@ -39,3 +39,10 @@ def test_parameters_with_slopes_of_their_own_are_not_tied():
         _found((400.0, 8.0, 3.0, 2.0), _columns(np.random.default_rng(0), False))
     )
     assert not ties
+
+
+def test_slopes_that_overflow_tie_nothing():
+    """The spectrum of what is not finite is none; a study goes on."""
+    columns = _columns(np.random.default_rng(0), True)
+    columns[3, 1] = np.inf
+    assert not find_parameter_ties(_found((400.0, 8.0, 3.0, 2.0), columns))

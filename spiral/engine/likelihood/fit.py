@@ -39,7 +39,7 @@ from spiral.engine.likelihood.predict import (
 )
 from spiral.engine.likelihood.steps import drop_bounded_columns, next_damped_step
 from spiral.engine.score import residual_block_samples
-from spiral.engine.threads import run_in_threads
+from spiral.engine.threads import run_in_threads, split_among_threads
 from spiral.types.record import Array
 
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
@@ -292,16 +292,18 @@ class _Search:
         if any(len(p.means) == 0 for p in runs):
             runs = predict_cases([(at.prepared, at.noise)], keep=True)[0]
 
-        def vary_sizes(r: int) -> list[tuple[Array, Array]]:
-            return vary_noise(*at.prepared[r], at.noise, others, runs[r])
+        parts = split_among_threads(others)
+        jobs = [(r, part) for r in range(len(runs)) for part in parts]
+
+        def vary_sizes(job: tuple[int, Sequence[NoiseModel]]) -> list[tuple[Array, Array]]:
+            return vary_noise(*at.prepared[job[0]], at.noise, job[1], runs[job[0]])
 
         samples = len(names) * max(len(p.misses) for p in runs)
         with np.errstate(all="ignore"):
-            changes = run_in_threads(vary_sizes, range(len(runs)), samples) if names else []
+            changes = iter(run_in_threads(vary_sizes, jobs, samples))
+        varied = [list(itertools.chain(*itertools.islice(changes, len(parts)))) for _ in runs]
         sizes = {
-            n: tuple(
-                _size_slopes(p, *other[j]) for p, other in zip(at.predictions, changes, strict=True)
-            )
+            n: tuple(_size_slopes(p, *v[j]) for p, v in zip(at.predictions, varied, strict=True))
             for j, n in enumerate(names)
         }
         return replace(at, kept=replace(at.kept, sizes=sizes, at=dict(at.noise.values)))

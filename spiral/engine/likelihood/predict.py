@@ -175,7 +175,7 @@ def predict_cases(
     def predict_job(job: tuple[FilterInput, FilterSettings, NoiseModel]) -> Prediction:
         return predict_readings(*job, keys, keep)
 
-    samples = max(task.series.samples for task, _, _ in jobs)
+    samples = max((task.series.samples for task, _, _ in jobs), default=0)
     with np.errstate(all="ignore"):
         flat, grouped, at = run_in_threads(predict_job, jobs, samples), [], 0
     for prepared, _ in cases:
