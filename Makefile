@@ -10,9 +10,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS ?= 2
-# Two workers, each with its own compiled threads: the linear algebra stays serial beside them. Compiled
-# modules are kept even where the environment says otherwise: each of the many processes compiled all anew.
-TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE=
+# Two workers, each on one thread of its own. Compiled modules are kept even where the environment says
+# otherwise: each of the many processes compiled all anew.
+TEST_ENV := NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 \
+	PYTHONDONTWRITEBYTECODE=
 # Held back so that mlflow 3.17 fits into the same lock, and so that torch stays the build for CPUs: later
 # ones bring 3 GB of CUDA.
 HELD_BACK := 'pyarrow<26' 'python-dateutil<3' 'torch==2.13.0'

@@ -213,13 +213,14 @@ def test_those_that_a_final_leaves_behind_run_their_own(monkeypatch):
         fit = SimpleNamespace(estimate=SimpleNamespace(finite=True))
         return SimpleNamespace(label=label, worth=worth, ranked=ranked, fit=fit)
 
+    base = SimpleNamespace(estimate=SimpleNamespace(prepared=()))
     runners = [rival("a", 157.0), rival("a", 98.0), rival("b", 90.0), rival("c", 80.0)]
-    run = candidates.Race(None, None, None, silent, [*runners, rival("d", -3.0)])
+    run = candidates.Race(None, base, None, silent, [*runners, rival("d", -3.0)])
     assert [(w.label, len(left)) for w, left in run.winners()] == [
         ("a", 2), ("a", 1), ("b", 2), ("c", 1),
     ]  # fmt: skip
     assert [r.label for r in run.tried] == ["a", "a", "b", "c", "d"]
-    beside = candidates.Race(None, None, None, silent, [*runners, rival("d", -3.0)])
+    beside = candidates.Race(None, base, None, silent, [*runners, rival("d", -3.0)])
     left = beside.against_model(400.0, ("d",))
     assert [(r.label, r.worth) for r in left.runners] == [("a", 157.0), ("d", -3.0)]
 

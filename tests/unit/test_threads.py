@@ -5,9 +5,14 @@ import time
 
 import numpy as np
 import pytest
+from spiral_plugins.effects.restoring import CubicStiffness
+from spiral_plugins.systems.oscillator import Oscillator
 
+import spiral
 from spiral.engine import threads
 from spiral.engine.threads import run_in_threads, split_among_threads
+from spiral.inference.simulate import simulate
+from spiral.types.model import seed_model
 
 
 @pytest.fixture(autouse=True)
@@ -88,3 +93,26 @@ def test_jobs_are_split_evenly_and_in_order():
 
 def test_inside_a_thread_jobs_are_not_split():
     assert run_in_threads(lambda _: len(split_among_threads(range(8))), range(4)) == [1] * 4
+
+
+def test_a_study_is_the_same_on_any_number_of_threads(monkeypatch):
+    """Every number but the seconds, of a study that names a cubic spring."""
+    system, time = Oscillator(), 0.01 * np.arange(1500)
+    values = {
+        "system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 1.0,
+        "cubic_stiffness.stiffness": 5e4,
+    }  # fmt: skip
+    model = seed_model(system, (CubicStiffness(),), values=values)
+    force = {"force": 30 * np.sin(2 * np.pi * (1 + 0.15 * time) * time)}
+    record = simulate(model, time, force, 0.01, np.random.default_rng(0))
+
+    def answer(count: int) -> dict:
+        monkeypatch.setattr(threads, "THREADS", count)
+        run = spiral.discover(record, system, candidates=["cubic_stiffness", "clearance", "gain"])
+        assert run.missing == ("cubic_stiffness",)
+        told = run.as_dict()
+        for one in told["rounds"]:
+            del one["seconds"]
+        return told
+
+    assert answer(4) == answer(1)

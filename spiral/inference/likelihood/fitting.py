@@ -325,7 +325,7 @@ def schwarz_penalty(parameters: int, prepared: FilterInputs) -> float:
 
 def longest(prepared: FilterInputs) -> int:
     """The samples of the longest record."""
-    return max(task.series.samples for task, _ in prepared)
+    return max((task.series.samples for task, _ in prepared), default=0)
 
 
 def reading_count(prepared: FilterInputs) -> int:
