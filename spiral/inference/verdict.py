@@ -340,7 +340,7 @@ def _error_clause(first: Comparison, last: Comparison) -> str:
         )
     now = f"{percent(last.test_error)} (noise floor {floor})"
     if not np.isfinite(first.test_error):
-        return f"the free run, which ran away without, is off by {now} on the test record"
+        return f"the free run ran away before, and is off by {now} on the test record now"
     return f"test error {percent(first.test_error)} -> {now}"
 
 

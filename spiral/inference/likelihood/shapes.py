@@ -31,8 +31,8 @@ def refit_effect_shapes(
     """A fit in which the shapes ``keys`` of one of its effects take their most likely values.
 
     They were held while it was a candidate: the corner of a gap rounded over a share of the motion,
-    say. Where the record determines them they are free, with an error of their own; where their
-    most likely values gain more than their penalty, they are held there; else they stay. ``masks``
+    say. Those that the record determines are free, with errors of their own; where their most
+    likely values gain more than their penalty, the others are held there; else they stay. ``masks``
     and ``steps`` as in ``fit_by_likelihood``. For shapes already ``chosen`` by a race over their
     grids the penalty has been paid: they are free wherever determined, else the errors of the
     effect's other parameters would be those for a known shape.
@@ -43,15 +43,23 @@ def refit_effect_shapes(
     worth = loose.log_likelihood > fit.log_likelihood + schwarz_penalty(len(keys), at.prepared)
     if not (worth or (chosen and loose.log_likelihood >= fit.log_likelihood)):
         return fit
-    if is_shape_determined(loose, keys, effect):
+    told = determined_shapes(loose, keys, effect)
+    if len(told) == len(keys):
         return loose
-    if not worth:
-        return fit
-    held = replace(loose.state, freed=fit.state.freed)
-    again = fit_by_likelihood(
-        assembly, held, loose.estimate.noise, masks, steps, rough=True, like=at.prepared
-    )
-    return again if again.log_likelihood > fit.log_likelihood else fit
+    begun = loose if worth else fit
+    for some in dict.fromkeys((told, ())):
+        if not (some or worth):
+            return fit
+        state = replace(begun.state, freed=(*fit.state.freed, *some))
+        again = fit_by_likelihood(
+            assembly, state, begun.estimate.noise, masks, steps, rough=True, like=at.prepared
+        )
+        if (
+            again.log_likelihood > fit.log_likelihood
+            and determined_shapes(again, some, effect) == some
+        ):
+            return again
+    return fit
 
 
 def refit_from_other_shapes(
@@ -105,25 +113,25 @@ def held_shapes(assembly: Assembly, fit: LikelihoodFit, effect: Effect) -> tuple
     )
 
 
-def is_shape_determined(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> bool:
-    """Whether all these shapes of an effect have a relative standard error of at most ``TOLD``.
+def determined_shapes(fit: LikelihoodFit, keys: tuple[str, ...], effect: Effect) -> tuple[str, ...]:
+    """Those of an effect's free shapes that have a relative standard error of at most ``TOLD``.
 
     That of a shape with a grid on both sides of zero is relative to its largest grid value. One
     that the record tells only in combination with another parameter (the unit in which a power
     counts, with its factor) is not determined.
     """
-    if {*keys} & {*find_parameter_ties(fit).parts}:
-        return False
+    tied = {*find_parameter_ties(fit).parts} if keys else set()
     values, errors = fit.estimate.values, fit.estimate.errors
     sizes = {
         f"{effect.label}.{p.name}": max(map(abs, p.grid))
         for p in effect.parameters
         if p.grid and min(p.grid) < 0
     }
-    return all(
-        errors.get(k, np.inf) <= TOLD * max(abs(values.get(k, 0.0)), sizes.get(k, 0.0))
-        for k in keys
-    )
+    return tuple(
+        k for k in keys
+        if k not in tied
+        and errors.get(k, np.inf) <= TOLD * max(abs(values.get(k, 0.0)), sizes.get(k, 0.0))
+    )  # fmt: skip
 
 
 def _refit_with_free_shapes(
