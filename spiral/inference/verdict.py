@@ -262,7 +262,7 @@ def study_summary(
     ]
     said += [
         memory_sentence(rounds),
-        describe_held_parameters(rounds[0].details),
+        describe_held_parameters(rounds[0].details, rounds[-1].details),
         describe_undetermined_parameters(rounds[-1].details),
     ]
     if reasons := shortfalls(last, settings):

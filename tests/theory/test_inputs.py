@@ -227,3 +227,45 @@ def test_what_an_actuator_does_is_done_to_what_it_has_done_before():
     error = both.p[both.keys.index("input_gain.error")]
     assert both.keys[: len(alone.keys)] == alone.keys
     assert sp.simplify(both.rate[1] - (1 + error) * alone.rate[1]) == 0
+
+
+@pytest.fixture(scope="module")
+def valve():
+    """A study of a level behind a valve that moves by 0.3 a second at most, sharply limited."""
+    rng, fine = np.random.default_rng(1), 20
+    asked = np.repeat(rng.uniform(-1, 1, 50), 50)
+    step, level = 0.1 / fine, np.zeros(asked.size)
+    decay, position, x = np.exp(-step / 4.0), 0.0, 0.0
+    for k in range(asked.size - 1):
+        for _ in range(fine):
+            reached = position + np.clip(asked[k] - position, -0.3 * step, 0.3 * step)
+            x, position = x * decay + (position + reached) * (1 - decay), reached
+        level[k + 1] = x
+    system = spiral.system(
+        ["T*x' = k*u - x"], states={"x": "m"}, inputs={"u": "m"}, observed=["x"],
+        parameters={"T": (4.4, "s"), "k": (1.9, "1")}, free=["T", "k"],
+    )  # fmt: skip
+    noisy = level + 0.01 * level.std() * rng.normal(size=level.size)
+    time = 0.1 * np.arange(asked.size)
+    record = make_record(system, "valve", time, {"x": noisy}, {"u": asked}, hold="zero_order")
+    return spiral.discover(record, system, candidates=["rate_limit", "actuator_lag", "input_delay"])
+
+
+def test_a_limit_has_an_error_where_its_soft_zone_is_not_told(valve):
+    """Of two shapes the record tells one: that is free, and the zone is held where it is likely."""
+    found = valve.model.estimates()["rate_limit"]
+    assert found["width"].se is None
+    assert found["rate"].se is not None
+    assert found["rate"].estimate == pytest.approx(0.3, abs=3 * found["rate"].se)
+
+
+def test_a_value_that_was_held_is_free_once_an_effect_tells_it(valve):
+    """Without the limit T and k are told only together; k stayed as given, 5 % off."""
+    assert "system.k" in valve.rounds[0].details["tied"]["parameters"]
+    assert valve.missing == ("rate_limit",)
+    assert not valve.alias_groups
+    assert "keeps the value" not in valve.summary
+    for name, true in (("T", 4.0), ("k", 2.0)):
+        one = valve.model.estimates()["system"][name]
+        assert one.se is not None
+        assert one.estimate == pytest.approx(true, abs=3 * one.se)

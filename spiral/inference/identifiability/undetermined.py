@@ -8,8 +8,15 @@ from typing import Any
 from spiral.types.formatting import number
 
 
-def tied_groups(details: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """Groups of effects or parameters that the record cannot tell apart, from a round's details."""
+def tied_groups(
+    details: Mapping[str, Any], last: Mapping[str, Any] | None = None
+) -> tuple[tuple[str, ...], ...]:
+    """Groups of effects or parameters that the record cannot tell apart, from a round's details.
+
+    ``last`` : those of a later round, which may hold none of them any more.
+    """
+    if last is not None and "tied" in details and not last.get("held"):
+        return ()
     return tuple(tuple(g) for g in details.get("tied", {}).get("groups", ()))
 
 
@@ -23,10 +30,18 @@ def are_effects_tied(groups: Iterable[Iterable[str]]) -> bool:
     return any("." not in label for group in groups for label in group)
 
 
-def describe_held_parameters(details: Mapping[str, Any]) -> str:
-    """Which parameters were held and why, in words; empty where none was."""
+def describe_held_parameters(
+    details: Mapping[str, Any], last: Mapping[str, Any] | None = None
+) -> str:
+    """Which parameters were held and why, in words; empty where none was.
+
+    ``last`` as in ``tied_groups``.
+    """
     tied = details.get("tied", {})
     names, fitted = tuple(tied.get("parameters", ())), tied.get("fitted", {})
+    if last is not None:
+        names = tuple(k for k in names if k in last.get("held", ()))
+        fitted = {k: v for k, v in fitted.items() if k in names}
     if not names:
         return ""
     groups = "; ".join(" with ".join(g) for g in tied_groups(details))

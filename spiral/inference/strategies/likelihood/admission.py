@@ -101,6 +101,8 @@ def compare_likelihood_fit(
     likelihood = -np.inf
     if fit.estimate.finite:
         details["log_likelihood"] = likelihood = fit.log_likelihood
+    if held := _held_of_seed(assembly, fit.state):
+        details["held"] = list(held)
     if ties := find_parameter_ties(fit):
         details["untold"] = {
             "groups": [tuple(map(without_variant, group)) for group in ties.groups],
@@ -413,6 +415,7 @@ def fit_with_effect(
     if not fit.estimate.finite:  # sizes of its noise may mean something else: on the same scales
         fit = fit_by_likelihood(own, state, rough=True, like=like)
     fit = refit_initial_states(own, refit_on_finer_steps(own, fit))
+    fit, state = _release_told_values(own, fit, state)
     if not is_white(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
@@ -421,6 +424,37 @@ def fit_with_effect(
     fit, gone = drop_superfluous_effects(own, fit, label)
     fit, needless = replace_by_interpolation(own, fit, progress)
     return compare_whole_record_fit(own, fit, (*gone, *needless), progress)
+
+
+def _held_of_seed(assembly: Assembly, state: FitState) -> tuple[str, ...]:
+    """Parameters of system and seed that a fit holds, since the record did not tell them apart."""
+    seed = {"system", *assembly.problem.model.labels}
+    return tuple(k for k in state.held if owner_of(k) in seed)
+
+
+def _release_told_values(
+    own: Assembly, fit: LikelihoodFit, state: FitState
+) -> tuple[LikelihoodFit, FitState]:
+    """The fit without holds that are no longer needed, and the state it began with without them.
+
+    What a model that lacks something does not tell apart (a time constant and a gain, beside a
+    force as large as its own) the record may tell once that is there. Held at a value that is off,
+    it would be made up for by effects that are not there.
+    """
+    held = _held_of_seed(own, fit.state)
+    if not held or not fit.estimate.finite:
+        return fit, state
+    for _ in held:
+        free = replace(fit.state, held=tuple(k for k in fit.state.held if k not in held))
+        loose = fit_by_likelihood(
+            own, free, fit.estimate.noise, rough=True, like=fit.estimate.prepared
+        )
+        tied = {*find_parameter_ties(loose).parts} if loose.estimate.finite else {*held}
+        if not tied & {*held}:
+            kept = tuple(k for k in state.held if k not in held)
+            return loose, replace(state, held=kept)
+        held = tuple(k for k in held if k not in tied)
+    return fit, state
 
 
 def fit_with_rival(rival: Rival, progress: Progress) -> WholeRecordFit:

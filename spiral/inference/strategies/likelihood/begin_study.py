@@ -40,7 +40,8 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     """The study with its seed fitted, by the noise model that the likelihood selects.
 
     Parameters that the record cannot tell from others are held at their given values: along a
-    flat combination the likelihood is the same, whatever value one of them has. Parameters of one
+    flat combination the likelihood is the same, whatever value one of them has. They stay held
+    until an effect is admitted beside which the record tells them. Parameters of one
     owner of which none is given are held at fitted values where nothing short of another record
     would tell them; where whole effects look alike the study ends there, unless much acts at
     random beside the fit: then candidates are tried first.
@@ -49,7 +50,7 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     held: tuple[str, ...] = ()
     fitted: dict[str, float] = {}
     while True:
-        bare, fit = _fit_seed(problem, progress)
+        bare, fit = _fit_seed(problem, held, progress)
         ties, model = find_parameter_ties(fit), problem.model
         groups = merge_overlapping_groups([set(g) for g in (*groups, *ties.groups)])
         hold = next((k for k in ties.parts if model.values.get(k)), None)
@@ -61,8 +62,7 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
             break
         progress(f"holding {hold}, which the record cannot tell from others")
         held = (*held, hold)
-        values = {**model.values, **fitted}
-        problem = replace(problem, model=replace(model, values=values, fixed=(*model.fixed, hold)))
+        problem = replace(problem, model=replace(model, values={**model.values, **fitted}))
     # what is tied in a fit gone astray need not be tied in the record
     sure = is_random_force_small(fit)
     begun = replace(
@@ -77,14 +77,16 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     return replace(begun, comparison=replace(begun.comparison, notes=notes), details=details)
 
 
-def _fit_seed(problem: Problem, progress: Progress) -> tuple[Assembly, LikelihoodFit]:
-    """The seed compiled without candidates, and its maximum-likelihood fit."""
+def _fit_seed(
+    problem: Problem, held: tuple[str, ...], progress: Progress
+) -> tuple[Assembly, LikelihoodFit]:
+    """The seed compiled without candidates, and its maximum-likelihood fit, some values held."""
     progress("compiling the model")
     settings = replace(problem.settings, phase_knot=0.0)  # the filter tracks the phase itself
     problem = replace(problem, settings=settings)
     check_candidates(problem)
     bare = compile_assembly(problem, (), 1)
-    state = replace(initial_fit_state(bare, problem.model.labels), corrected=False)
+    state = replace(initial_fit_state(bare, problem.model.labels), corrected=False, held=held)
     bare = refine_substeps(bare, state)
     fit = best_fit(bare, state, progress)
     for effect in problem.model.effects:
