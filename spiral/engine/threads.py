@@ -10,24 +10,14 @@ from __future__ import annotations
 import contextvars
 import functools
 import itertools
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import ParamSpec, TypeVar
 
+from numba.core import config
 
-def _usable_threads() -> int:
-    """Cores that this process may use, or what ``NUMBA_NUM_THREADS`` says."""
-    given = os.environ.get("NUMBA_NUM_THREADS")
-    if given is not None:
-        return max(int(given), 1)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-THREADS = _usable_threads()
-"""Threads that share the windows, records or fits of one step."""
+THREADS: int = config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+"""Threads that share the windows, records or fits of one step: cores that this process may use."""
 _AT_ONCE = 2_000_000  # samples that threads beyond the second may hold in passes at once
 _inside = contextvars.ContextVar("inside", default=False)
 
@@ -64,7 +54,7 @@ def run_in_threads(run: Callable[[Job], R], jobs: Sequence[Job], samples: int = 
 
 
 def split_among_threads(jobs: Sequence[Job]) -> list[Sequence[Job]]:
-    """Consecutive jobs in as many parts as there are threads for them; none where there are none.
+    """Consecutive jobs in as many parts as there are threads for them; no part without jobs.
 
     For work of which a part costs something itself, so that single jobs would cost more.
     """

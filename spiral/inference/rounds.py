@@ -194,8 +194,7 @@ def conclude_study(
     """The ``Run`` of a study that ends at this checkpoint: verdict, advice, rounds, final model."""
     rounds = at.rounds
     verdict = study_verdict(rounds, stopped, settings)
-    first, *later = rounds
-    groups = tied_groups(first.details, later[-1].details if later else None)
+    groups = tied_groups(rounds[0].details, rounds[-1].details)
     if verdict == "not_identifiable":
         stopped = "not_identifiable"
     said = advice_for(verdict, stopped, rounds, (), settings) if advice is None else advice

@@ -369,7 +369,7 @@ def _look_alikes_clause(
     ours = next((e for e in model.effects if e.label == label), None)
     first = None if ours is None else replace(ours, port="")
     names = [
-        effect_with_place(model.system, first) if first and first.label == x else x for x in alike
+        _effect_with_place(model.system, first) if first and first.label == x else x for x in alike
     ]
     return f" (or {first_words(names)}: this record cannot tell them apart)"
 
@@ -383,10 +383,10 @@ def label_with_place(model: Model, label: str) -> str:
     if isinstance(effect, ParameterEffect):
         port = model.system.place(effect)
         return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
-    return label if effect is None else effect_with_place(model.system, effect)
+    return label if effect is None else _effect_with_place(model.system, effect)
 
 
-def effect_with_place(system: System, effect: Effect) -> str:
+def _effect_with_place(system: System, effect: Effect) -> str:
     """An effect's label, with its place where the label leaves out that it is the first."""
     if effect.port or len(at_every_place(system, effect)) < 2:
         return effect.label

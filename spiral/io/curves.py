@@ -44,7 +44,7 @@ class Curves:
     def get_input(self, record: int, name: str) -> Array | None:
         """An input of a record; files that were written before have it under its name alone."""
         array = self.get(record, INPUT, name)
-        return self.get(record, name) if array is None and name in ("phase", "speed") else array
+        return self.get(record, name) if array is None and name != "y" else array
 
     @property
     def tested(self) -> int:

@@ -27,11 +27,11 @@ def kept(size: int) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def cached_call(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
                 hash((args, tuple(kwargs.values())))
+                call = results
             except TypeError:
-                with _LOCK:
-                    return function(*args, **kwargs)
+                call = function
             with _LOCK:
-                return results(*args, **kwargs)
+                return call(*args, **kwargs)
 
         return cached_call
 

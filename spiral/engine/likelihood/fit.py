@@ -291,21 +291,19 @@ class _Search:
         runs = at.predictions
         if any(len(p.means) == 0 for p in runs):
             runs = predict_cases([(at.prepared, at.noise)], keep=True)[0]
-
-        parts = split_among_threads(others)
-        jobs = [(r, part) for r in range(len(runs)) for part in parts]
+        jobs = list(itertools.product(range(len(runs)), split_among_threads(others)))
 
         def vary_sizes(job: tuple[int, Sequence[NoiseModel]]) -> list[tuple[Array, Array]]:
             return vary_noise(*at.prepared[job[0]], at.noise, job[1], runs[job[0]])
 
         samples = len(names) * max(len(p.misses) for p in runs)
         with np.errstate(all="ignore"):
-            changes = iter(run_in_threads(vary_sizes, jobs, samples))
-        varied = [list(itertools.chain(*itertools.islice(changes, len(parts)))) for _ in runs]
-        sizes = {
-            n: tuple(_size_slopes(p, *v[j]) for p, v in zip(at.predictions, varied, strict=True))
+            varied = list(itertools.chain(*run_in_threads(vary_sizes, jobs, samples)))
+        sizes = {  # all of the first record come first
+            n: tuple(_size_slopes(p, *other)
+                     for p, other in zip(at.predictions, varied[j :: len(names)], strict=True))
             for j, n in enumerate(names)
-        }
+        }  # fmt: skip
         return replace(at, kept=replace(at.kept, sizes=sizes, at=dict(at.noise.values)))
 
     def with_difference_slopes(self, at: MaximumLikelihood) -> MaximumLikelihood:

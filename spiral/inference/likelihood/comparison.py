@@ -7,7 +7,7 @@ that stretch, where this lowers the error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -185,8 +185,8 @@ def _free_run_uncertainty(
         forces.append(free_spread(own, settings, noise)[first:] ** 2)
         values = free_doubt(task, begin, estimate.keys, estimate.covariance, estimate.noise, first)
         if run.is_lost(r) and estimate.keys:
-            tracked, known = _filter_of_doubt(task, (), estimate, {})
-            grown = doubt_along_readings(tracked, known, estimate.noise, first)
+            doubting = _doubting_filter(task, (), _told_errors(estimate), estimate)
+            grown = doubt_along_readings(*doubting, estimate.noise, first)
             values = np.maximum(values, grown)
         unseen = hidden_force_spread(own, settings, estimate.noise, larger)[first:]
         doubts.append(values**2 + unseen**2)
@@ -304,18 +304,14 @@ def _make_forecaster(
     """
     noise = state.noise
     assert noise is not None
-    doubted = bool(_told_errors(estimate))
+    told = _told_errors(estimate)
 
     def forecast(record: int, task: FilterInput, first: int, steps: int) -> tuple[Array, Array]:
         if begins := bool(np.all(np.isfinite(starts[record]))):
             task = replace(task, start=starts[record][0].copy())
             task = task if tracked else set_likely_initial_state(task, noise)
-        for doubt in (True, False) if doubted else (False,):  # sure where it runs away else
-            own, settings = (
-                _filter_of_doubt(task, tracked, estimate, tracked_deviations(tracked))
-                if doubt
-                else filter_prepared(task, tracked, tracked_deviations(tracked))
-            )
+        for errors in (told, {}) if told else ({},):  # sure of its values where it runs away else
+            own, settings = _doubting_filter(task, tracked, errors, estimate)
             if begins:
                 settings = replace(settings, start=task.start)
             run = predict_readings(own, settings, noise, keep=True)
@@ -333,15 +329,17 @@ def _told_errors(estimate: MaximumLikelihood) -> dict[str, float]:
     return {k: e for k, e in estimate.errors.items() if 0 < e < abs(values[k])}
 
 
-def _filter_of_doubt(
-    task: FilterInput, tracked: tuple[str, ...], estimate: MaximumLikelihood,
-    known: dict[str, float],
+def _doubting_filter(
+    task: FilterInput, tracked: tuple[str, ...], errors: Mapping[str, float],
+    estimate: MaximumLikelihood,
 ) -> tuple[FilterInput, FilterSettings]:  # fmt: skip
-    """A filter that doubts the values of a fit as the fit does, and tracks more parameters."""
-    told = _told_errors(estimate)
-    own, settings = filter_prepared(task, (*tracked, *told), {**known, **told})
-    correlation = _error_correlation(estimate, settings.tracked)
-    return own, replace(settings, correlation=correlation)
+    """A filter that doubts values of a fit by their ``errors``, together as the fit does.
+
+    ``tracked`` : parameters of the record, which it tracks as well.
+    """
+    known = {**tracked_deviations(tracked), **errors}
+    own, settings = filter_prepared(task, (*tracked, *errors), known)
+    return own, replace(settings, correlation=_error_correlation(estimate, settings.tracked))
 
 
 def _error_correlation(estimate: MaximumLikelihood, names: tuple[str, ...]) -> Array:

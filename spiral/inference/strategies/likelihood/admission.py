@@ -441,10 +441,8 @@ def _release_told_values(
     force as large as its own) the record may tell once that is there. Held at a value that is off,
     it would be made up for by effects that are not there.
     """
-    held = _held_of_seed(own, fit.state)
-    if not held or not fit.estimate.finite:
-        return fit, state
-    for _ in held:
+    held = _held_of_seed(own, fit.state) if fit.estimate.finite else ()
+    while held:
         free = replace(fit.state, held=tuple(k for k in fit.state.held if k not in held))
         loose = fit_by_likelihood(
             own, free, fit.estimate.noise, rough=True, like=fit.estimate.prepared
