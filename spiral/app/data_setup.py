@@ -46,6 +46,7 @@ class DataSetup:
     drag: str = "zoom"
     plot: ui.plotly | None = None
     rows: dict[tuple[str, int], ui.input] = field(default_factory=dict)
+    shown: dict[tuple[str, int], str] = field(default_factory=dict)  # what the program wrote there
 
     def current_setup(self) -> RecordSetup:
         """The setup as it is now."""
@@ -69,12 +70,11 @@ class DataSetup:
                 ui.html(f"<i style='background:{_COLOURS[use]}'></i>{name}", sanitize=False)
                 for end, word in enumerate(("from", "to")):
                     self.rows[use, end] = self._rows_input(use, end, f"{name} {word}")
-            ui.button("All rows", on_click=lambda: self.change(fit_rows=(), test_rows=())).props(
-                "flat dense")  # fmt: skip
+            ui.button("All rows", on_click=self._take_all_rows).props("flat dense")
         ui.html(f"<p class='soft'>{_SAID}</p>", sanitize=False)
 
     def show_stretches(self) -> None:
-        """Show the stretches as they are chosen now."""
+        """Show the stretches as they are chosen; a field that somebody types in is left alone."""
         if self.plot is None or self.plot.is_deleted:
             return
         setup = self.current_setup()
@@ -82,8 +82,9 @@ class DataSetup:
         for (use, end), box in self.rows.items():
             rows = _stretch_rows(setup.choice, use)
             wanted = str(rows[end]) if rows else ""
-            if box.value != wanted:
+            if box.value != wanted and box.value == self.shown[use, end]:
                 box.set_value(wanted)
+            self.shown[use, end] = wanted
 
     def _drag_layout(self) -> dict[str, Any]:
         """What a drag over the picture does; ``meta`` says for whom a stretch is marked."""
@@ -98,7 +99,17 @@ class DataSetup:
         ends = next((v for k, v in ((event.args or {}).get("range") or {}).items()
                      if k.startswith("x")), None)  # fmt: skip
         if ends and self.drag in _COLOURS:
+            self._drop_typed()
             self._mark_rows(self.drag, round(min(ends)), round(max(ends)))
+
+    def _take_all_rows(self) -> None:
+        self._drop_typed()
+        self.change(fit_rows=(), test_rows=())
+        self.show_stretches()
+
+    def _drop_typed(self) -> None:
+        """What was typed and never made a stretch gives way to what is chosen next."""
+        self.shown = {key: box.value or "" for key, box in self.rows.items()}
 
     def _mark_rows(self, use: str, first: int, stop: int) -> None:
         setup = self.current_setup()
@@ -112,10 +123,11 @@ class DataSetup:
     def _rows_input(self, use: str, end: int, label: str) -> ui.input:
         rows = _stretch_rows(self.current_setup().choice, use)
         hint = "all" if (use, end) == (FIT, 0) else ""
-        box = ui.input(value=str(rows[end]) if rows else "", placeholder=hint,
-                       on_change=lambda: self._on_rows_typed(use))  # fmt: skip
+        self.shown[use, end] = str(rows[end]) if rows else ""
+        box = ui.input(value=self.shown[use, end], placeholder=hint)
+        box.on("change", lambda: self._on_rows_typed(use))  # Enter, or the next field
         box.props["aria-label"] = label
-        return box.props("outlined dense debounce=900 inputmode=numeric")
+        return box.props("outlined dense inputmode=numeric")
 
     def _on_rows_typed(self, use: str) -> None:
         """Two whole numbers make a stretch, two empty fields all rows; other text is ignored."""

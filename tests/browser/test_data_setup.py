@@ -99,10 +99,15 @@ def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, pictur
     drag(tab, 0.3, 0.9)
     tab.wait_for_function("(was) => document.querySelector(\"input[aria-label='Test rows to']\")"
                           ".value !== was", arg=str(test_to))  # fmt: skip
-    fit_from, _, _, test_to = map(int, rows(tab))
+    fit_from, fit_to, _, test_to = map(int, rows(tab))
     assert test_to == fit_from == pytest.approx(900, abs=15)
     tab.fill("input[aria-label='Fitted rows from']", "2000")
-    tab.fill("input[aria-label='Fitted rows to']", "2600")
+    tab.click("input[aria-label='Fitted rows to']")  # leaving a field takes its number over
+    tab.keyboard.press("Control+A")
+    tab.keyboard.type("260")
+    tab.wait_for_selector(f"main:has-text('fit: {fit_to - 2000} samples at 500 Hz')")
+    tab.keyboard.type("0")
+    tab.keyboard.press("Enter")  # what was being typed has not been overwritten
     tab.wait_for_selector("main:has-text('fit: 600 samples at 500 Hz')")
     picture(tab, "desk-stretches")
     assert faults(tab) == []
