@@ -9,6 +9,11 @@ A model is *near its noise* where all of these hold:
 with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box over m lags, d what the fitted
 random forces are expected to make of a free run (``engine.likelihood.free_spread``; a record may be
 one stretch of what they move slowly, and chi2 of one degree of freedom is 6.6 once in a hundred).
+No value may contradict the noise that makes up for the rest (``Comparison.contradictions``): a
+damper of the given model that ended up feeding the machine, or most likely values more than three
+standard errors from those whose free run is better on each other half of the record. Were the
+forces beside the model random, both would come to the same values.
+
 (Q - m) / N is about the share of what is left that its own past predicts: below s^2 it is smaller
 than the smallest effect that counts. Colour is harmless, too, where up to a quarter of what is left
 is told by its own past and less than s^2 by motion and inputs beside that
@@ -113,6 +118,7 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
         reasons.append(
             f"a random force of {share} of the machine's own forces would have to act beside it"
         )
+    reasons += comparison.contradictions
     for name, share in coloured_noise(comparison).items():
         if share > settings.noise_limit:
             where = name.partition(".")[2]

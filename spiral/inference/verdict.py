@@ -212,6 +212,7 @@ def _explains_fitted(comparison: Comparison, settings: Settings) -> bool:
     explained = max(random_forces(comparison).values(), default=0.0) <= settings.random_limit
     return (
         explained
+        and not comparison.contradictions
         and evidence_chi2(comparison) <= settings.chi2_limit
         and is_residual_white(comparison, settings)
     )

@@ -35,6 +35,7 @@ GROUPS = {
     "learner": "learner",
     "library": "library",
 }
+_ANY_FILE = "file"  # the source that reads files of every kind
 # Default plugin of each group that configurations of older saved runs lack.
 USUAL = {
     "derivative": "total_variation", "learner": "tanh_network", "library": "paper",
@@ -329,12 +330,20 @@ def _apply_override(config: Config, item: Assignment, registry: Registry) -> Non
         return
     if first == "test" and item.path[1:] != ("settle",) and not config["test"]["name"]:
         config["test"] = {"settle": None, **_test_like_record(config, registry, config["test"])}
+    if first == "record" and not config["record"] and _is_field_of_file(item, registry):
+        _choose_group_plugin(config, "record", _ANY_FILE, registry)
     if item.path[-1] == "name" and first in (*GROUPS, "strategy"):
         raise ConfigError(f"{item.text!r}", f"{first}=NAME", f"{first}={item.value}")
     if first in ("effect", "gate") and len(item.path) == 2 and item.delete:
         config[first].pop(item.path[-1], None)
         return
     set_value(config, item, _open_keys(config, registry))
+
+
+def _is_field_of_file(item: Assignment, registry: Registry) -> bool:
+    """Whether an override gives a field of the source that reads files of any kind."""
+    known = defaults_of(registry.entry("source", _ANY_FILE).plugin)
+    return not item.delete and len(item.path) > 1 and item.path[1] in known
 
 
 def _choose_group_plugin(config: Config, group: str, name: Any, registry: Registry) -> None:

@@ -80,6 +80,8 @@ class Comparison(Readable):
     spoilt : which readings are no measurement, in words.
     departures : what neither the model nor its noise can hold, in words: a parameter that drifts,
         noise that grows with its reading.
+    contradictions : values that noise does not account for, in words: a sign that turned and that a
+        passive machine does not have, most likely values far from those of the best free run.
     disturbed : error of the test's free run to be expected from random forces.
     uncertain : the same from the uncertainty of parameters and initial state.
     followed : share of a coloured residual that motion and inputs explain.
@@ -105,6 +107,7 @@ class Comparison(Readable):
     random_times: Mapping[str, float] = field(default_factory=dict)
     spoilt: tuple[str, ...] = ()
     departures: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
     disturbed: float = 0.0
     uncertain: float = 0.0
     followed: float | None = None
@@ -131,6 +134,7 @@ class Comparison(Readable):
             "random_times": dict(self.random_times),
             "spoilt": list(self.spoilt),
             "departures": list(self.departures),
+            "contradictions": list(self.contradictions),
             "disturbed": self.disturbed,
             "uncertain": self.uncertain,
             "followed": self.followed,

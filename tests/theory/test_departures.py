@@ -17,6 +17,7 @@ from spiral.inference.likelihood.departures import (
     describe_departures,
     drifting_parameters,
     far_value_sentences,
+    reversed_sign_sentences,
 )
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
@@ -150,3 +151,16 @@ def test_a_value_that_went_far_from_the_one_given_is_told():
     assert mass.startswith("system.mass ended at 0.005, far from the 1.5 that it was given")
     assert spring.startswith("linear_stiffness.stiffness ended at -80")
     assert not far_value_sentences(estimate, {})
+
+
+def test_a_damper_that_ends_up_feeding_the_machine_is_told_where_it_was_given_as_one():
+    """Signs of the given model only, and only those that surely turned."""
+    ended = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0,
+             "linear_damping.damping": -0.5}  # fmt: skip
+    model = replace(MODEL, values=ended, errors={"linear_damping.damping": 0.1})
+    (told,) = reversed_sign_sentences(model, {**ended, "linear_damping.damping": 2.0})
+    assert told.startswith("linear_damping.damping ended at -0.5 where 2 was given: negative damp")
+    assert not reversed_sign_sentences(model, ended)  # given so: something feeds it
+    assert not reversed_sign_sentences(model, {})
+    unsure = replace(model, errors={"linear_damping.damping": 0.3})
+    assert not reversed_sign_sentences(unsure, {"linear_damping.damping": 2.0})

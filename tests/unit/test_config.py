@@ -121,6 +121,15 @@ def test_test_path_alone_means_the_same_columns(own_file, tmp_path):
     assert rows.test[0].samples == 100
 
 
+def test_a_path_alone_means_a_file_of_any_kind(own_file):
+    short = composed(*(o for o in own(own_file) if o != "record=csv"))
+    assert short["record"]["name"] == "file"
+    for part in ("records", "test"):
+        one, other = (getattr(build_problem(c, REGISTRY), part)[0]
+                      for c in (short, composed(*own(own_file))))  # fmt: skip
+        np.testing.assert_array_equal(one.channels["x"], other.channels["x"])
+
+
 def test_a_simulated_test_has_other_noise():
     config = composed("system=planar_rotor", "record=rotor_coastdown", "record.duration=0.2",
                       "test.phase=1.0")  # fmt: skip
@@ -193,7 +202,7 @@ def test_unknown_names_get_near_misses(overrides, near):
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("record.path=a.csv",),
+        ("record.duration=3",),
         ("system.name=oscillator",),
         ("system={name: oscillator}",),
         ("strategy=papr",),
@@ -224,6 +233,7 @@ def test_values_that_do_not_fit_are_refused(overrides):
         ((), "no system"),
         (("system=oscillator",), "no record"),
         (("system=oscillator", "record=csv"), "without a file"),
+        (("system=oscillator", "record.duration=3"), "no record is chosen"),
         ((*ROTOR, "without=[gyroscopic]"), "gyroscopic"),
         ((*ROTOR, "effect=[linear_damping]"), "twice"),
         ((*ROTOR, "effect=[cubic_stiffness@bearing_9]"), "bearing_9"),

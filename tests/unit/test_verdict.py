@@ -166,7 +166,8 @@ def test_nothing_is_missing_only_near_the_noise():
     assert is_near_noise(GOOD, SETTINGS)
     for change in ({"chi2_per_dof": 3.96}, {"test_error": 0.05}, {"converged": False},
                    {"whiteness_p": 1e-9, "whiteness_effect": 0.5},
-                   {"chi2_per_dof": np.inf}, {"test_error": np.nan}):  # fmt: skip
+                   {"chi2_per_dof": np.inf}, {"test_error": np.nan},
+                   {"contradictions": ("c ended at -2 where 3 was given",)}):  # fmt: skip
         bad = replace(GOOD, **change)
         assert not is_near_noise(bad, SETTINGS)
         assert len(shortfalls(bad, SETTINGS)) == 1

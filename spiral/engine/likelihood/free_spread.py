@@ -13,6 +13,8 @@ carried. The same numbers are drawn for the same record whatever the sizes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
@@ -31,10 +33,21 @@ def free_spread(task: FilterInput, settings: FilterSettings, noise: NoiseModel) 
     It is as large as it can be from where a motion leaves all bounds.
     """
     most = np.sqrt(2.0) * task.series.deviations
+    drawn = [np.minimum(m**2, most**2) for m in draw_free_misses(task, settings, noise)]
+    return np.sqrt(sum(drawn) / len(drawn))
+
+
+def draw_free_misses(
+    task: FilterInput, settings: FilterSettings, noise: NoiseModel, seed: int = 0
+) -> Iterator[Array]:
+    """(samples, channels) that each of 8 to 64 drawn motions is off by; infinite where it leaves.
+
+    The motions of one record and ``seed`` are drawn from the same numbers.
+    """
     parts, n = noise_matrices(task, settings, noise.without(*COLOURED, "drift")), len(task.states)
     samples, substeps = task.series.samples, task.series.substeps
     count = int(np.clip(_STEPS // max((samples - 1) * substeps, 1), _FEWEST, _MOST))
-    rng, total = np.random.default_rng(0), np.zeros_like(task.series.y)
+    rng = np.random.default_rng(seed)
     white, forces = (
         _scaled_covariance_root(parts.q[:n, :n], task.scales),
         _draw_coloured_forces(parts, samples, count, rng),
@@ -46,8 +59,7 @@ def free_spread(task: FilterInput, settings: FilterSettings, noise: NoiseModel) 
         kicks[:, -1] += rng.normal(size=(samples - 1, n)) @ white.T
         with np.errstate(all="ignore"):
             miss = _disturbed_readings(task, settings.start, kicks) + z @ parts.seen.T - usual
-            total += np.minimum(np.nan_to_num(miss**2, nan=np.inf, posinf=np.inf), most**2)
-    return np.sqrt(total / count)
+        yield np.nan_to_num(miss, nan=np.inf)
 
 
 def _disturbed_readings(task: FilterInput, start: Array, kicks: Array) -> Array:

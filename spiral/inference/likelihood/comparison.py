@@ -34,7 +34,11 @@ from spiral.inference.evidence.horizons import (
     misses_ahead,
     tracked_deviations,
 )
-from spiral.inference.likelihood.departures import describe_departures, far_value_sentences
+from spiral.inference.likelihood.departures import (
+    describe_departures,
+    far_value_sentences,
+    reversed_sign_sentences,
+)
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     apply_integration_settings,
@@ -42,7 +46,11 @@ from spiral.inference.likelihood.fitting import (
     innovations,
     with_tracked_values,
 )
-from spiral.inference.likelihood.free_fit import FREE_RUN_VALUES_NOTE, refit_by_free_run
+from spiral.inference.likelihood.free_fit import (
+    FREE_RUN_VALUES_NOTE,
+    free_run_sentences,
+    refit_by_free_run,
+)
 from spiral.inference.likelihood.free_run_starts import (
     free_runs,
     mean_hidden_states,
@@ -102,6 +110,10 @@ def compare_by_likelihood(
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
         **_note_fields(problem, state, free is not fit),
+        contradictions=(
+            *reversed_sign_sentences(model, problem.model.given_values),
+            *free_run_sentences(fit, free),
+        ),
         noise_ratio=_declared_noise_ratio(problem.records, state.noise),
         **seen,
         **_noise_and_residual_fields(assembly, fit, model, carried),

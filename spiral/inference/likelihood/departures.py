@@ -24,6 +24,7 @@ from spiral.engine.filter.noise import driven_states
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.score import residual_block_samples
+from spiral.physics.passivity import implausible_signs
 from spiral.types.formatting import number, percent
 from spiral.types.label import without_variant
 from spiral.types.model import Model
@@ -76,6 +77,20 @@ def far_value_sentences(estimate: MaximumLikelihood, given: Mapping[str, float])
                 "that it was given: it may make up for something, or that value is wrong"
             )
     return tuple(said)
+
+
+def reversed_sign_sentences(model: Model, given: Mapping[str, float]) -> tuple[str, ...]:
+    """Sentences on values that surely ended with the other sign than given, and push or feed.
+
+    A damper that was given as one and feeds energy in makes up for something else; of a machine
+    that feeds itself the user gives the sign (``physics.passivity``).
+    """
+    return tuple(
+        f"{without_variant(key)} ended at {number(model.values[key])} where {number(given[key])} "
+        f"was given: {said}"
+        for key, said in implausible_signs(model).items()
+        if given.get(key, 0.0) * model.values[key] < 0
+    )
 
 
 def _effect_remarks(model: Model, estimate: MaximumLikelihood) -> Iterator[str]:

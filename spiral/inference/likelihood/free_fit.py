@@ -12,6 +12,9 @@ of them, each by values of the other, better as well: beside forces that are tru
 differ by less, and one-step predictions are the more precise ones. What a free run misses is
 correlated over long times, so the halves are whole: blocks that alternate would be no witness of
 one another.
+
+Hausman (1978), Specification tests in econometrics, Econometrica 46, compares two estimates that
+both are right if a model is, as these are where what acts beside it is random.
 """
 
 from __future__ import annotations
@@ -21,7 +24,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
+from spiral.engine.leastsquares import least_squares
+from spiral.engine.likelihood.fit import (
+    MaximumLikelihood,
+    add_standard_errors,
+    maximise_likelihood,
+)
+from spiral.engine.likelihood.free_spread import draw_free_misses
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import FilterInputs, Masks, predict_cases
 from spiral.engine.windows import halves
@@ -34,6 +43,9 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.seed_fit import sensor_noise_only
 from spiral.inference.problem import Progress
+from spiral.types.formatting import number
+from spiral.types.label import without_variant
+from spiral.types.record import Array
 
 FREE_RUN_VALUES_NOTE = (
     "the values minimise the free-run error: a large force that is not random acts beside the "
@@ -42,6 +54,7 @@ FREE_RUN_VALUES_NOTE = (
 """The note on a comparison whose values are those of free runs."""
 
 _BETTER = 0.9  # share of the other's error below which values by free runs are taken
+_APART = 3.0  # standard errors between two estimates from which they contradict each other
 
 
 def refit_by_free_run(
@@ -49,9 +62,10 @@ def refit_by_free_run(
 ) -> LikelihoodFit:
     """The fit with the values that minimise the free-run error, if these are far better.
 
-    Its noise is the most likely one beside them, its standard errors those of the free run
-    (widened by how much blocks of the record differ). Without ``halves_agree`` the check on halves
-    is left out, for callers that decide on data which neither fit has seen.
+    Its noise is the most likely one beside them. Its standard errors are those of the free run,
+    widened by how much blocks of the record differ and by what random forces make of them. Without
+    ``halves_agree`` the check on halves is left out, for callers that decide on data which neither
+    fit has seen.
     """
     if not fit.estimate.finite or is_random_force_small(fit) or not fit.estimate.keys:
         return fit
@@ -75,6 +89,48 @@ def refit_by_free_run(
     if not theirs < ours:
         return fit
     return _with_noise_terms_of(assembly, free, fit)
+
+
+def _random_force_errors(free: MaximumLikelihood, noise: NoiseModel) -> Array:
+    """(keys,) standard errors that random forces make of values of a free run.
+
+    With E_s the misses of a drawn motion (``draw_free_misses``) and X the slopes of the free run,
+    both over the sensors' noise: rms over s of (X^T X)^-1 X^T E_s. What a motion misses lasts, and
+    blocks of a record know too little of it.
+    """
+    slopes = np.concatenate([p.columns.reshape(-1, len(free.keys)) for p in free.predictions])
+    drawn = []
+    for r, ((task, settings), part) in enumerate(zip(free.prepared, free.predictions, strict=True)):
+        most = np.sqrt(2.0) * task.series.deviations
+        misses = draw_free_misses(task, settings, noise, seed=r)
+        drawn.append([(np.clip(m, -most, most) * part.weight).ravel() for m in misses])
+    moved = [least_squares(slopes, np.concatenate(one)).b for one in zip(*drawn, strict=False)]
+    return np.sqrt(np.mean(np.square(moved), axis=0))
+
+
+def free_run_sentences(fit: LikelihoodFit, free: LikelihoodFit) -> tuple[str, ...]:
+    """A sentence where the values of the best free run are not the most likely ones, else none.
+
+    With v, s of one fit and w, r of the other: |v - w| > 3 sqrt(s^2 + r^2) for any value. As in the
+    test of Hausman (1978): both are right where what is beside the model is random, and only there.
+    """
+    if free is fit:
+        return ()
+    most_likely, best = fit.estimate, free.estimate
+    apart = {
+        key: abs(most_likely.values[key] - best.values[key])
+        / np.hypot(most_likely.errors[key], best.errors[key])
+        for key in most_likely.keys
+        if key in best.errors and most_likely.errors[key] > 0
+    }
+    key = max(apart, key=lambda k: apart[k], default="")
+    if not key or not apart[key] > _APART:
+        return ()
+    return (
+        f"{without_variant(key)} is most likely {number(most_likely.values[key])} and "
+        f"{number(best.values[key])} where a free run is best, {number(apart[key], 2)} standard "
+        "errors apart: the force beside the model is not random",
+    )
 
 
 def _record_halves(prepared: FilterInputs) -> tuple[Masks, Masks]:
@@ -103,10 +159,15 @@ def _with_noise_terms_of(
 ) -> LikelihoodFit:
     """The values of ``free`` with the noise terms of another fit, at their most likely sizes."""
     known, keys = add_standard_errors(free.estimate), free.estimate.keys
+    random = _random_force_errors(known, fit.estimate.noise)
+    widened = np.array(known.widened)
+    if known.regression is not None:
+        white = known.regression.spread(1.0)[: len(keys)]
+        widened = np.maximum(widened, np.hypot(1.0, random / white))
     noisy = maximise_likelihood(free.estimate.prepared, (), fit.estimate.noise, rough=True)
     parts = predict_cases([(noisy.prepared, noisy.noise)], keys, keep=True)[0]
     estimate = replace(
         noisy, keys=keys, predictions=parts, regression=known.regression, sizes=known.sizes,
-        widened=known.widened,
+        widened=tuple(map(float, widened)),
     )  # fmt: skip
     return LikelihoodFit(with_estimate(free.state, estimate), estimate)
