@@ -135,8 +135,8 @@ def channel_error_table(turn: StudyState, units: Mapping[str, str]) -> str:
     chi2 = turn.result.get("chi2_per_dof")
     fit = "" if chi2 is None else f"χ² per degree of freedom {digits(chi2)}; "
     fit += (
-        f"whiteness <span class='formula'>p {escape(probability(turn.result.get('whiteness_p')))}"
-        f"</span>; fitted over {turn.result.get('horizon') or '-'} samples at a time"
+        f"whiteness <span class='formula'>p {escape(probability(turn.result.get('whiteness_p')))};"
+        f"</span> fitted over {turn.result.get('horizon') or '-'} samples at a time"
     )
     return (
         restyle_table(table) + f'<p class="soft" style="font-size:13.5px;margin-top:6px">{fit}</p>'

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 from html.parser import HTMLParser
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -136,6 +137,17 @@ def test_a_round_that_runs_away_is_marked_and_drawn_beside_the_others():
         "<b>110 %</b><br>as it was", "<b>↑ not finite</b><br>+ cubic stiffness"
     ]  # fmt: skip
     assert error_falling({"rounds": rounds[1:]}, least=1) is None
+
+
+def test_labels_of_errors_that_are_alike_stand_at_three_heights():
+    rounds = [{"round": i, "admitted": ["a"] * (i > 0), "fit_error": e, "test_error": e}
+              for i, e in enumerate((0.7, 0.0095, 0.0094, 0.0093, 0.0093))]  # fmt: skip
+    figure = error_falling({"rounds": rounds, "noise_floor": 0.009})
+    labels = [a for a in figure.layout.annotations if "noise floor" not in a.text]
+    heights = [a.yshift for a in labels]
+    assert len(set(heights)) == 3
+    assert heights[0] == heights[1] == heights[4]
+    assert min(abs(a - b) for a, b in pairwise(heights[1:])) >= 30  # two lines of text
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,6 @@ def open_store(
         FileLock(folder / LOCK, timeout=_PATIENCE),
         _silence_mlflow(),
     ):  # who waits has not imported MLflow
-        import_mlflow()
         from mlflow import MlflowClient
 
         if uri == f"sqlite:///{folder / DATABASE}" and not (folder / DATABASE).is_file():
@@ -213,15 +212,16 @@ def skip_requirement_lookup() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _silence_mlflow() -> Iterator[None]:
-    """Without the remarks of MLflow, and those of its migrations on a new database."""
+    """MLflow, imported, without its remarks and those of its migrations on a new database."""
     names = ("mlflow", "alembic", "psycopg")
-    levels = [logging.getLogger(n).level for n in names]
-    for name in names:
-        logging.getLogger(name).setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        import_mlflow()  # which sets the levels of its own
+        levels = [logging.getLogger(n).level for n in names]
+        for name in names:
+            logging.getLogger(name).setLevel(logging.ERROR)
+        try:
             yield
-    finally:
-        for name, level in zip(names, levels, strict=True):
-            logging.getLogger(name).setLevel(level)
+        finally:
+            for name, level in zip(names, levels, strict=True):
+                logging.getLogger(name).setLevel(level)

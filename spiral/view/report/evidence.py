@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _FEW, _LABELS = 8, 5  # up to 8 points of a curve are all labelled, of more only 5
 _TICKS = 16
 _LABEL = 16  # letters of a label's line
+_LINES = 38  # pixels of a label's height
+_NEAR = 0.3  # logarithm of the ratio of two errors up to which their labels are side by side
 _LEAST = 1e-3  # percent, where an error of zero is drawn
 
 
@@ -62,12 +64,18 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
             hovertemplate="%{customdata}<br>%{y:.3g} %",
         )  # fmt: skip
     told = _labelled_points([_as_percent(r.get("test_error")) for r in history])
-    for index in told:
+    levels = _label_levels([_as_percent(history[i].get("test_error")) for i in told])
+    for index, level in zip(told, levels, strict=True):
         number, name, r = numbers[index], names[index], history[index]
         value = _as_percent(r.get("test_error"))
         at = {"y": 1, "yref": "paper", "yanchor": "top", "font": {"size": 13, "color": VERMILION}}
         if value is not None:
-            at = {"y": math.log10(value), "yanchor": "bottom", "yshift": 5, "font": {"size": 13}}
+            at = {
+                "y": math.log10(value),
+                "yanchor": "bottom",
+                "yshift": 5 + _LINES * level,
+                "font": {"size": 13},
+            }
         said = "↑ not finite" if value is None else percent(r["test_error"])
         figure.add_annotation(x=number, text=f"<b>{said}</b><br>{name}", align="left",
                               showarrow=False, xanchor="left", xshift=7, **at)  # fmt: skip
@@ -93,6 +101,18 @@ def _labelled_points(values: Sequence[float | None]) -> list[int]:
         if len(chosen) < _LABELS and min(abs(i - c) for c in chosen) >= apart and size[i - 1] > 0:
             chosen.append(i)
     return sorted(chosen)
+
+
+def _label_levels(values: Sequence[float | None]) -> list[int]:
+    """How high above its point each label stands, so that neighbours of one height do not overlap.
+
+    A label whose point is nearly as high as the one before it stands a level higher, of three.
+    """
+    levels: list[int] = []
+    for before, value in itertools.pairwise([None, *values]):
+        near = before is not None and value is not None and abs(math.log(value / before)) < _NEAR
+        levels.append((levels[-1] + 1) % 3 if near else 0)
+    return levels
 
 
 def _draw_floor_and_axes(

@@ -91,6 +91,8 @@ def _final_figures(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure |
     """Figures of the final model: name, heading, caption, function."""
     test = c.tested
     free: list[tuple[str, str, str, Callable[[], Figure | None]]] = []
+    turns = c.get_input(test, "speed") is not None
+    over = text.WATERFALL if turns else text.WATERFALL_OVER_TIME
     if SEED in c.meta["models"]:
         free = [("free_run", "Free run on the test record", text.FREE,
                  lambda: motion.measured_against_model(c, test, FINAL))]  # fmt: skip
@@ -99,7 +101,7 @@ def _final_figures(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure |
         ("orbit", "Orbit", text.ORBIT, lambda: motion.orbit(c, test)),
         ("bode", "First order over speed", text.BODE, lambda: rotor.bode(c, test)),
         ("polar", "First order, polar", text.POLAR, lambda: rotor.polar(c, test)),
-        ("waterfall", "Waterfall", text.WATERFALL, lambda: rotor.waterfall(c, test)),
+        ("waterfall", "Waterfall", over, lambda: rotor.waterfall(c, test)),
         ("whirl", "Full spectrum", text.WHIRL, lambda: rotor.whirl(c, test)),
         ("correlation", "What is left: is it white?", text.CORRELATION,
          lambda: maps.correlation(c, 0)),

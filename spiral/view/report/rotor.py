@@ -28,6 +28,7 @@ Array = np.ndarray
 
 _CASCADE = 45  # slices of a cascade
 _TURNS, _FEW = 4, 2  # of a slice of the first order, over speed and as a vector
+_RIDGE = 9.0  # height of the largest peak of a cascade, in distances of two slices
 _NAMED = 12  # speeds that are written on a polar plot
 _LINES, _WEAK = 3, 0.03  # measured lines of a slice; share of the record's largest that counts
 
@@ -136,7 +137,9 @@ def waterfall(curves: Curves, record: int) -> go.Figure | None:
         figure.update_xaxes(title_text="frequency (Hz)", range=[0, top], row=1, col=j + 1)
         name = "speed (rpm)" if speed is not None else "time (s)"
         peak = f"{channel['name']} up to {float(size.max()):.3g} {unit}"
-        figure.update_yaxes(title_text=f"{name}; {peak}", row=1, col=j + 1)
+        apart = np.ptp(over) / len(over)
+        figure.update_yaxes(title_text=f"{name}; {peak}", row=1, col=j + 1,
+                            range=[over.min() - apart, over.max() + _RIDGE * apart])  # fmt: skip
     return figure
 
 
@@ -206,7 +209,7 @@ def _slice_heights(spectrogram: Spectrogram, about: Any, speed: Array | None) ->
 
 def _draw_ridges(figure: Any, axis: Array, size: Array, over: Array, row: int, column: int) -> None:
     """Draw spectra as ridges at their speeds or times, each hiding what lies behind it."""
-    height = 9.0 * np.ptp(over) / len(over) / max(float(size.max()), 1e-300)
+    height = _RIDGE * np.ptp(over) / len(over) / max(float(size.max()), 1e-300)
     for k in np.argsort(over)[::-1]:
         draw_line(figure, axis, over[k] + height * size[k], f"{over[k]:.0f}", CYCLE[0], row, column,
              width=1.2, showlegend=False, fill="tozeroy", fillcolor="white")  # fmt: skip

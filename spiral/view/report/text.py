@@ -76,7 +76,8 @@ POLAR = (
     "The vector of the first order as the speed changes, from zero lag to the right, lag growing "
     "clockwise; numbers are rpm. Each loop is a resonance."
 )
-WATERFALL = "Each line is the spectrum of one slice, raised to its speed; dotted: orders 1 to 3."
+WATERFALL = "Each line is the spectrum of a slice, raised to its speed; dotted: orders 1 to 3."
+WATERFALL_OVER_TIME = "Each line is the spectrum of a slice of the record, raised to its time."
 WHIRL = (
     "Spectrum of x + i y, forward in the sense of rotation to the right; below, of slices of the "
     "measured record, each raised to its speed."
