@@ -5,7 +5,8 @@ Those not missing are recognised from the signal alone, and only where nothing e
     spike    r_k = y_k - (4 (y_{k-1} + y_{k+1}) - (y_{k-2} + y_{k+2})) / 6 is above 12 robust
              standard deviations of all r, and with y_k on that cubic the two readings on each side
              are within 4: a step, a kink or a burst is not mended by one; where more of them stand
-             near jumps of an input than chance puts there, those are its doing
+             near jumps of an input than chance puts there, those are its doing; the deviation
+             is that of a converter's rounding, q / 12^(1/2), at least (``reading_step``)
     held     a run of readings that equal the one before exactly, three at least
     clipped  readings that equal the largest or smallest exactly
 
@@ -30,8 +31,12 @@ _REPEATS = 0.002  # share of repeated values from which a signal repeats them by
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
 _APART = 3  # readings between close spikes, at most
+_LEVELS = 2  # distances of values from which they are judged to be a grid
+_ROUNDED = 0.05  # share of a step that rounding may take
+_FREQUENT = 5.0  # times as often as a usual value an extreme repeats where a sensor clips
 _PAIRS = np.array([(i, i + d) for d in range(1, _APART + 1) for i in range(-3, 4 - d)])
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
+_OWN = np.array([1, -4, 6, -4, 1]) / 6  # of the readings in r
 _CHANCE = 0.01  # probability below which spikes near jumps of an input are its doing
 _EXTRAPOLATED = 6.0  # deviation of a cubic's extrapolation over that of r, of white noise
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
@@ -104,6 +109,22 @@ def spoilt_readings(
     return tuple(s for s in spoilt if s.where.any())
 
 
+def reading_step(values: Array) -> float:
+    """The step q of a converter whose multiples all readings are; 0 where they are no such grid.
+
+    The distances of neighbouring values are whole multiples of the usual one, but for the rounding
+    of a text.
+    """
+    apart = np.diff(np.unique(values))
+    if len(apart) < _LEVELS or not np.ptp(values) > 0:
+        return 0.0
+    step = float(np.median(apart))
+    told = apart[apart > _ROUNDED * step] / step
+    off = np.abs(told - np.round(told))
+    whole = np.mean((off <= _ROUNDED * told) & (told >= 1 - _ROUNDED)) >= 1 - _ROUNDED
+    return step if whole else 0.0
+
+
 def bridged(values: Array, gone: Array) -> Array:
     """The channel, interpolated linearly where readings are ``gone``."""
     if not gone.any() or gone.all():
@@ -135,8 +156,11 @@ def _is_noise_like(values: Array) -> bool:
 
 def clipping(key: str, values: Array) -> str:
     """A note where a channel rests at its extremes for many samples in a row."""
-    share = sum(float(np.mean(at[1:] & at[:-1])) for at in _at_extremes(values))
-    if share > 1e-3:
+    extreme = [at[1:] & at[:-1] for at in _at_extremes(values)]
+    share, elsewhere = float(np.mean(extreme[0] | extreme[1])), np.diff(values) == 0
+    elsewhere &= ~(extreme[0] | extreme[1])
+    levels = len(np.unique(values))  # a coarse converter repeats each of them
+    if share > 1e-3 and share * levels > _FREQUENT * float(np.mean(elsewhere)):
         return f"channel {key!r} looks clipped: {share:.1%} of its samples rest at an extreme"
     return ""
 
@@ -166,7 +190,8 @@ def _spike_mask(values: Array) -> Array:
     if len(values) < 16:
         return spikes
     y = values.copy()
-    scale = _ROBUST * float(np.median(np.abs(_cubic_residual(y)[2:-2])))
+    rounding = float(np.sqrt(np.sum(_OWN**2) / 12)) * reading_step(y)
+    scale = max(_ROBUST * float(np.median(np.abs(_cubic_residual(y)[2:-2]))), rounding)
     last = np.ones(1)
     while last.any() and spikes.sum() <= _MOST * len(y):
         last = np.zeros(len(y), dtype=bool)

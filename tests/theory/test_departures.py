@@ -20,6 +20,7 @@ from spiral.inference.likelihood.departures import (
     reversed_sign_sentences,
 )
 from spiral.inference.simulate import simulate
+from spiral.types.formatting import number
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
@@ -131,6 +132,15 @@ def test_a_stiffness_that_drifts_is_told_with_its_size():
     share = float(told.partition("changed by +")[2].split(" ")[0])
     assert share == pytest.approx(4.0, abs=1.0)
     assert drifting_parameters(found)["linear_stiffness.stiffness"] == pytest.approx(0.04, abs=0.01)
+
+
+def test_a_coarse_converter_is_told_with_its_step():
+    step = 0.1 * CLEAN.std()
+    coarse = step * np.round((CLEAN + steady(np.random.default_rng(5))) / step)
+    (told,) = (t for t in describe_departures(MODEL, fitted(coarse), False, ()) if "steps" in t)
+    assert told.startswith(f"sensor x reads in steps of {number(step)} m (9.98 % of its motion)")
+    fine = describe_departures(MODEL, fitted(CLEAN + steady(np.random.default_rng(5))), False, ())
+    assert not any("steps" in t for t in fine)
 
 
 def test_an_input_may_be_what_pushes():

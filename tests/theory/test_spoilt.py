@@ -8,7 +8,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 import spiral
 from spiral.inference.simulate import simulate
 from spiral.types.errors import InputError
-from spiral.types.invalid import bridged, spoilt_readings
+from spiral.types.invalid import bridged, clipping, reading_step, spoilt_readings
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
@@ -33,6 +33,24 @@ def test_spikes_are_found_where_they_are(seed):
     found = np.flatnonzero(kinds(values)["spike"])
     assert set(found) <= set(at)
     assert len(found) >= 0.9 * len(at)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.5])
+def test_a_coarse_converter_s_steps_are_measured_and_are_no_spikes(share):
+    """Also where a text rounds them; values of any other kind have no step."""
+    step = share * MOTION.std()
+    coarse = step * np.round(noisy(2, 0.002) / step) - 0.123
+    assert reading_step(coarse) == pytest.approx(step, rel=1e-6)
+    assert reading_step(np.array([float(f"{v:.4f}") for v in coarse])) == pytest.approx(
+        step, rel=0.02
+    )
+    assert not kinds(coarse)
+    assert not clipping("x", coarse)
+    assert reading_step(noisy(2)) == 0.0
+    assert reading_step(np.full(N, 3.0)) == 0.0
+    stopped = np.minimum(coarse, 0.8 * coarse.max())
+    assert "looks clipped" in clipping("x", np.minimum(noisy(2), 0.8 * MOTION.max()))
+    assert "looks clipped" in clipping("x", stopped) or share > 0.01  # each level lasts
 
 
 @pytest.mark.parametrize("apart", [1, 2, 3])

@@ -26,6 +26,7 @@ from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.score import residual_block_samples
 from spiral.physics.passivity import implausible_signs
 from spiral.types.formatting import number, percent
+from spiral.types.invalid import reading_step
 from spiral.types.label import without_variant
 from spiral.types.model import Model
 from spiral.types.record import Array
@@ -38,6 +39,7 @@ _RATIOS = np.geomspace(0.03, 100.0, 18)  # b / a of noise that grows
 _TWO = 4.0  # twice log-likelihood by which noise that grows from zero, not from the mean, is told
 _FAR = 10.0  # times a value given, or its inverse, from which a fitted one is far from it
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
+_HALF = 0.5  # share of what is missed from which a converter's steps are told
 _FEWEST = 64  # samples
 
 
@@ -57,6 +59,7 @@ def describe_departures(
     return (
         *_effect_remarks(model, estimate),
         *_noise_weighting_remarks(estimate),
+        *_converter_remarks(model, estimate),
         *_noisy_input_remark(estimate, random),
         *_drift_remark(estimate),
         *shapes,
@@ -242,6 +245,25 @@ def _noise_weighting_remarks(estimate: MaximumLikelihood) -> Iterator[str]:
             yield (
                 f"the noise of sensor {name} grows with its reading, {times}-fold over the middle "
                 "90 % of its values, and the fit weights its readings accordingly"
+            )
+
+
+def _converter_remarks(model: Model, estimate: MaximumLikelihood) -> Iterator[str]:
+    """Sentences on sensors whose converter makes half of the variance that predictions miss.
+
+    A step q makes an error of variance q^2 / 12, white where the motion passes many steps.
+    """
+    for j, name in enumerate(estimate.prepared[0][0].compiled.traced.channels):
+        both = list(zip(estimate.prepared, estimate.predictions, strict=True))
+        readings = np.concatenate([t.series.y[p.spreads[:, j] > 0, j] for (t, _), p in both])
+        missed = np.concatenate([p.misses[p.spreads[:, j] > 0, j] for _, p in both])
+        step = reading_step(readings) if len(readings) else 0.0
+        if step and step**2 / 12 > _HALF * np.mean(missed**2):
+            share = percent(step / float(np.std(readings)))
+            unit = model.system.unit_of(name)
+            yield (
+                f"sensor {name} reads in steps of {number(step)} {unit} ({share} of its "
+                "motion): its resolution (quantisation) makes most of its noise"
             )
 
 
