@@ -110,7 +110,7 @@ def test_noise_that_grows_from_zero_is_told_of_a_reading_that_is_never_negative(
     misses = (0.03 * reading * rng.normal(size=2000))[:, None]
     spreads = np.full((2000, 1), float(np.var(misses)))
     part = SimpleNamespace(misses=misses, spreads=spreads, whitened=misses / np.sqrt(spreads))
-    series = SimpleNamespace(y=reading[:, None] + misses)
+    series = SimpleNamespace(y=reading[:, None] + misses, dt=0.01)
     compiled = SimpleNamespace(traced=SimpleNamespace(channels=("c",)))
     task = SimpleNamespace(series=series, compiled=compiled)
     (told,) = shapes_told(SimpleNamespace(prepared=((task, None),), predictions=(part,)))
@@ -132,6 +132,17 @@ def test_a_stiffness_that_drifts_is_told_with_its_size():
     share = float(told.partition("changed by +")[2].split(" ")[0])
     assert share == pytest.approx(4.0, abs=1.0)
     assert drifting_parameters(found)["linear_stiffness.stiffness"] == pytest.approx(0.04, abs=0.01)
+
+
+def test_a_clock_that_jitters_is_told_with_its_seconds():
+    """Readings of a motion of 1 to 6 Hz at times off by a millisecond, by its slope."""
+    rng = np.random.default_rng(6)
+    seconds = SPREAD / np.std(np.gradient(CLEAN, TIME))
+    late = CLEAN + np.gradient(CLEAN, TIME) * rng.normal(size=len(TIME)) * seconds
+    (told,) = describe_departures(MODEL, fitted(late + 0.3 * steady(rng)), True, ())
+    assert "jitter" in told
+    told_seconds = float(told.partition("off by ")[2].split(" ")[0])
+    assert told_seconds == pytest.approx(seconds, rel=0.2)
 
 
 def test_a_coarse_converter_is_told_with_its_step():

@@ -4,7 +4,7 @@ With e the whitened misses of a fit and X their slopes by parameters:
 
     a parameter drifts    e = X b + d (t x_j),    t from -1/2 to 1/2 over each record
     noise that grows      e ~ N(0, a + b h^2),    h a reading from its mean, or from zero, over
-                                                  its deviation
+                                                  its deviation; or its rate of change (jitter)
     heavy tails           e ~ s t_nu,             Student's t with nu degrees of freedom
 
 They are reported where twice their gain in log-likelihood is above 20. A drift must also pass by
@@ -192,7 +192,7 @@ def _estimate_drift(e: Array, column: Array, beyond: Array, width: int) -> _Drif
 
 
 def _noise_shape_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
-    """Sentences on channels whose noise grows with its reading or has heavy tails."""
+    """Sentences on channels whose noise grows with reading or speed, or has heavy tails."""
     channels = estimate.prepared[0][0].compiled.traced.channels
     told = []
     for j, name in enumerate(channels):
@@ -206,9 +206,15 @@ def _noise_shape_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
         )
         if from_zero[0] > growth[0] + _TWO:
             growth = from_zero
-        if max(growth[0], tails[0]) <= _TOLD:
+        speed, seconds = _clock_jitter_gain(estimate, j)
+        if max(growth[0], tails[0], speed) <= _TOLD:
             continue
-        if growth[0] > tails[0]:
+        if speed > max(growth[0], tails[0]) + _TWO:
+            told.append(
+                f"the noise of sensor {name} grows with how fast its reading changes, as where its "
+                f"clock is off by {number(seconds, 2)} s (rms) from sample to sample (jitter)"
+            )
+        elif growth[0] > tails[0]:
             told.append(
                 f"the noise of sensor {name} grows with {_describe_noise_growth(growth, h + mean)}"
             )
@@ -315,6 +321,27 @@ def _noise_growth_gain(e: Array, h: Array, from_zero: bool = False) -> tuple[flo
     gains = [still - _deviance(e, 1 + r * h**2) for r in _RATIOS]
     best = int(np.argmax(gains))
     return float(gains[best]), float(_RATIOS[best]), from_zero
+
+
+def _clock_jitter_gain(estimate: MaximumLikelihood, j: int) -> tuple[float, float]:
+    """Twice the gain of a variance s + (tau dy/dt)^2 over a constant one, and tau in s."""
+    misses, rates, spread = [], [], []
+    for (task, _), part in zip(estimate.prepared, estimate.predictions, strict=True):
+        seen = part.spreads[:, j] > 0
+        at = np.flatnonzero(seen)
+        if len(at) < _FEWEST:
+            continue
+        rate = np.gradient(task.series.y[at, j] - part.misses[at, j], at * task.series.dt)
+        misses.append(part.whitened[at, j])
+        rates.append(rate)
+        spread.append(part.spreads[at, j])
+    size = float(np.sqrt(np.mean(np.concatenate(rates) ** 2))) if rates else 0.0
+    if not 0 < size < np.inf:
+        return 0.0, 0.0
+    e, v = np.concatenate(misses), np.concatenate(rates) / size
+    gain, ratio, _ = _noise_growth_gain(e, v, True)
+    least = np.mean(e**2 / (1 + ratio * v**2)) * np.median(np.concatenate(spread))
+    return gain, float(np.sqrt(ratio * least)) / size
 
 
 def _deviance(e: Array, variance: Array) -> float:
