@@ -38,7 +38,7 @@ VERBS = {
     "report": "one HTML file of a saved run (run=ID, by default the latest), figures and all",
     "export": "the model of a saved run as a program or a text: export RUN --to KIND",
     "plugins": "list systems, effects and sources",
-    "check": "verify a plugin: units, derivatives, behaviour at rest",
+    "check": "verify a plugin or a model: units, derivatives, behaviour at rest",
     "new": "write a working skeleton of a plugin and its test: new KIND NAME",
 }
 

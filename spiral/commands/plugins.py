@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from spiral.commands.study import Tell
@@ -36,12 +37,24 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
 
 
 def check_plugins(request: Request, registry: Registry, tell: Tell) -> Outcome:
-    """Run the conformance suite on the plugins asked for; exit 2 where a check fails."""
+    """Run the conformance suite on plugins, or on the model that is chosen; exit 2 at a failure.
+
+    A model is a file (``model.yaml``), or what overrides choose (``system=NAME system.FIELD=1``).
+    """
+    from spiral.io.system_files import plugin_of_file
     from spiral.io.testing import check_plugin, failed
 
-    _require_names_only(request, "spiral check NAME", "spiral plugins")
-    checked = []
-    for entry in (e for name in request.names for e in registry.named(name)):
+    if not request.names and not request.overrides:
+        raise ConfigError("check", "spiral check NAME, or system=MODEL.yaml", "spiral plugins")
+    systems = [n for n in request.names if plugin_of_file(n) or n in registry.names("system")]
+    if request.overrides:  # of a system that is named, or that they choose
+        models = [tuple(f"system={n}" for n in systems[:1]) + tuple(request.overrides)]
+        plugins = [n for n in request.names if n not in systems[:1]]
+    else:
+        models = [(f"system={n}",) for n in systems if plugin_of_file(n)]
+        plugins = [n for n in request.names if not plugin_of_file(n)]
+    checked = [_check_model(overrides, registry, tell) for overrides in models]
+    for entry in (e for name in plugins for e in registry.named(name)):
         tell(f"checking {entry.kind} {entry.name}")
         checked.append((entry, check_plugin(entry, registry)))
     result: dict[str, Any] = {
@@ -60,6 +73,22 @@ def check_plugins(request: Request, registry: Registry, tell: Tell) -> Outcome:
     if not result["passed"]:
         result["error"] = _first_failure(checked)
     return Outcome(OK if result["passed"] else BAD_INPUT, result, {"checked": checked})
+
+
+def _check_model(
+    overrides: Sequence[str], registry: Registry, tell: Tell
+) -> tuple[Entry, list[Check]]:
+    """The system that overrides choose, its checks, under the name of its file if it is one."""
+    from spiral.io.config import build_system, compose
+    from spiral.io.testing import check_system
+
+    config = compose(overrides, registry)
+    system, chosen = build_system(config, registry), config["system"]
+    entry = registry.entry("system", chosen["name"])
+    file = str(chosen.get("path") or "")
+    tell(f"checking {file or chosen['name']}")
+    named = replace(entry, name=file, file=file) if file else entry
+    return named, check_system(system)
 
 
 def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, str]:

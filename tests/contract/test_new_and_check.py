@@ -165,6 +165,20 @@ def test_several_plugins_are_checked_at_once(capsys):
     assert "11 of 11 checks passed" in capsys.readouterr().out
 
 
+def test_a_model_is_checked_by_its_file_or_as_it_is_chosen(capsys, place):
+    text = "equations: [\"m*x'' + c*x' + k*x = F\"]\nstates: {x: m}\ninputs: {F: N}\n"
+    text += "parameters: {m: 2 kg, c: 1 N*s/m, k: 400 N/m}\nobserved: [x]\n"
+    (place / "bench.yaml").write_text(text)
+    (place / "wrong.yaml").write_text(text.replace("1 N*s/m", "1 N/m"))
+    for words in (["bench.yaml"], ["system=bench.yaml"], ["pendulum", "system.torque_unit=N*m"]):
+        code, result = run_json(capsys, "check", *words)
+        assert (code, result["passed"]) == (0, True)
+        assert len(result["plugins"][0]["checks"]) == 11
+    assert run_json(capsys, "check", "bench.yaml")[1]["plugins"][0]["name"] == "bench.yaml"
+    assert "terms of one unit" in run_json(capsys, "check", "wrong.yaml")[1]["error"]["expected"]
+    assert "no.yaml" in run_json(capsys, "check", "no.yaml")[1]["error"]["given"]
+
+
 def test_unknown_and_unusable_names_are_told(capsys, place):
     (place / "plugins").mkdir()
     (place / "plugins" / "own.py").write_text("1 / 0")
@@ -172,7 +186,7 @@ def test_unknown_and_unusable_names_are_told(capsys, place):
         (["check"], "spiral check NAME"),
         (["check", "cubic_stifness"], "'cubic_stiffness'"),
         (["check", "own"], "own.py could not be used: ZeroDivisionError"),
-        (["check", "pendulum", "system.torque_unit=N"], "spiral check NAME"),
+        (["check", "pendulum", "system.torque_unot=N"], "torque_unit"),
     ):
         assert main(words) == 2
         assert hint in capsys.readouterr().err

@@ -181,8 +181,9 @@ def _check_unit_sizes(
         ]
         raise ConfigError(
             f"{row.place}, with {', '.join(uneven)}: numbers of terms that cannot be added",
-            "units that go together, for instance all SI",
-            "a file in other units is converted as it is read: record.units='{x: mm}'",
+            "units that go together, for instance all SI; time is in s, and x' is per second",
+            "no number of an equation is converted: 1/h is 2.78e-4 1/s. A file in other units is, "
+            "as it is read: record.units='{x: mm, time: h}'",
         )
 
 
