@@ -10,6 +10,7 @@ Array = np.ndarray
 
 NOISE_LAGS = 13
 """Autocovariances that bear on ``estimate_noise``: up to its highest order, 12."""
+_MEDIAN = 0.45494  # of the square of a normal variable
 
 Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust"]
 
@@ -17,11 +18,12 @@ COLOURED: tuple[Kind, ...] = ("coloured", "band", "vibration")
 """Kinds of stationary sensor noise that are not white."""
 
 
-def estimate_noise(values: Array) -> float:
+def estimate_noise(values: Array, robust: bool = False) -> float:
     """Noise from high-order differences: sigma^2 = mean (d^k y)^2 / C(2k, k), smallest over k.
 
     A k-th difference removes a polynomial of degree k - 1 and leaves white noise with the variance
-    C(2k, k) sigma^2. Orders 2 to 12 are tried; a smooth signal only ever adds.
+    C(2k, k) sigma^2. Orders 2 to 12 are tried; a smooth signal only ever adds. Where it has kinks,
+    as under an input that jumps, the median of the squares in place of their mean is ``robust``.
     """
     from scipy.special import comb
 
@@ -29,7 +31,8 @@ def estimate_noise(values: Array) -> float:
     difference = np.diff(np.asarray(values, dtype=float))
     for order in range(2, 13):
         difference = np.diff(difference)
-        best = min(best, float(np.mean(difference**2) / comb(2 * order, order)))
+        square = np.median(difference**2) / _MEDIAN if robust else np.mean(difference**2)
+        best = min(best, float(square / comb(2 * order, order)))
     return float(np.sqrt(best))
 
 

@@ -62,7 +62,7 @@ from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model
-from spiral.types.noise import COLOURED, NOISE_LAGS, expected_noise_estimate
+from spiral.types.noise import COLOURED, NOISE_LAGS, estimate_noise, expected_noise_estimate
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
@@ -389,15 +389,27 @@ def _relative_noise_floor(
             white = noise.values.get(f"white.{name}", 0.0) ** 2
             sizes.append(np.sqrt(fitted + white * (np.mean(grown) - 1)))
             continue
-        there, here = (
-            np.mean([r.sigma()[name] ** 2 for r in records])
-            for records in (problem.test or problem.records, problem.records)
-        )
-        told = expected_noise_estimate(sensor_autocovariance(task, noise, name, NOISE_LAGS)) ** 2
-        reliable = 1 / _AGREE**2 <= here / told <= _AGREE**2 if told > 0 else False
-        sizes.append(np.sqrt(fitted * float(there / here) if reliable else fitted))
+        told = expected_noise_estimate(sensor_autocovariance(task, noise, name, NOISE_LAGS))
+        sizes.append(np.sqrt(fitted) * _noisier_in_test(problem, name, told))
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(np.array(sizes) / run.deviations()))
+
+
+def _noisier_in_test(problem: Problem, name: str, told: float) -> float:
+    """Noise of a channel, test over fitted records, by estimates without a model; 1 if unreliable.
+
+    They are reliable where they tell of the fitted records what is ``told`` of the fitted noise.
+    """
+    for robust in (False, True):
+        there, here = (
+            np.sqrt(np.mean([
+                (r.noise.get(name) or estimate_noise(r.reading(name), robust)) ** 2 for r in records
+            ]))
+            for records in (problem.test or problem.records, problem.records)
+        )  # fmt: skip
+        if told > 0 and 1 / _AGREE <= here / told <= _AGREE:
+            return float(there / here)
+    return 1.0
 
 
 def _declared_noise_ratio(records: Sequence[Record], noise: NoiseModel | None) -> float | None:
