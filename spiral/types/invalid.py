@@ -1,4 +1,4 @@
-"""Finds invalid readings: missing values, spikes, values held in a dropout, clipped extremes.
+"""Finds invalid readings: missing values, repeats, spikes, values held in a dropout, clipped ones.
 
 Those not missing are recognised from the signal alone, and only where nothing else looks alike:
 
@@ -7,11 +7,15 @@ Those not missing are recognised from the signal alone, and only where nothing e
              are within 4: a step, a kink or a burst is not mended by one; where more of them stand
              near jumps of an input than chance puts there, those are its doing; the deviation
              is that of a converter's rounding, q / 12^(1/2), at least (``reading_step``)
+    repeat   a reading that repeats the one before, of a sensor whose runs of equal values have all
+             one length of two or more, or two lengths that differ by one: it samples more slowly
+             than the record, and each value is told once
     held     a run of readings that equal the one before exactly, three at least
     clipped  readings that equal the largest or smallest exactly
 
 The last two need a signal that hardly ever repeats a value by itself: a coarse converter does, and
-so does a record without noise; in these neither is looked for.
+so does a record without noise; in these neither is looked for. A coarse converter that a steady
+motion carries from step to step has runs of one length, too: there a run is no repeat.
 """
 
 from __future__ import annotations
@@ -31,6 +35,8 @@ _REPEATS = 0.002  # share of repeated values from which a signal repeats them by
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
 _APART = 3  # readings between close spikes, at most
+_FEWEST_RUNS, _REGULAR = 16, 0.95  # runs of a sensor that repeats, and share of one length
+_STEPS = 3.0  # steps of a converter that values jump by where it is not the steps that last
 _LEVELS = 2  # distances of values from which they are judged to be a grid
 _ROUNDED = 0.05  # share of a step that rounding may take
 _FREQUENT = 5.0  # times as often as a usual value an extreme repeats where a sensor clips
@@ -46,7 +52,7 @@ _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are n
 class InvalidReadings:
     """Invalid readings of one channel, of one kind; ``where`` (samples,) is True there."""
 
-    kind: Literal["missing", "spike", "held", "clipped"]
+    kind: Literal["missing", "repeat", "spike", "held", "clipped"]
     where: Array
 
     def told(self, channel: str) -> str:
@@ -58,6 +64,10 @@ class InvalidReadings:
             "spike": (
                 "stands out from its neighbours like a spike (an outlier)",
                 "stand out from their neighbours like spikes (outliers)",
+            ),
+            "repeat": (
+                "is a repeat: the sensor samples more slowly than this record",
+                "are repeats: the sensor samples more slowly than this record",
             ),
             "held": (
                 "repeats the one before exactly, as in a dropout",
@@ -90,6 +100,14 @@ def spoilt_readings(
     """
     if missing is not None and missing.any():
         return (InvalidReadings("missing", missing),)
+    repeated = _repeat_mask(values)
+    if repeated.any():
+        fresh = np.flatnonzero(~repeated)
+        inner = spoilt_readings(values[fresh], [given[fresh] for given in inputs], None, smooth)
+        return (
+            InvalidReadings("repeat", repeated),
+            *(InvalidReadings(s.kind, _mask_at(fresh[s.where], len(values))) for s in inner),
+        )
     spoilt: list[InvalidReadings] = []
     same = np.diff(values) == 0
     runs = _long_run_mask(same)
@@ -131,6 +149,37 @@ def bridged(values: Array, gone: Array) -> Array:
         return values
     at = np.arange(len(values))
     return np.where(gone, np.interp(at, at[~gone], values[~gone]), values)
+
+
+def _repeat_mask(values: Array) -> Array:
+    """Readings that repeat the one before, of a sensor that samples more slowly than the record."""
+    none = np.zeros(len(values), dtype=bool)
+    jumps = np.diff(values)
+    new = np.flatnonzero(jumps) + 1
+    if len(new) < _FEWEST_RUNS or 2 * len(new) > len(values):
+        return none
+    runs = np.diff(new)
+    usual = int(np.bincount(runs).argmax())
+    regular = max(
+        np.mean(np.isin(runs, lengths)) for lengths in ((usual - 1, usual), (usual, usual + 1))
+    )
+    whole = runs % usual == 0  # two values in a row may be equal by chance
+    if usual < 2 or max(regular * (usual > 2), np.mean(whole)) < _REGULAR:
+        return none
+    if np.median(np.abs(jumps[new - 1])) < _STEPS * reading_step(values):
+        return none
+    repeated = ~none
+    repeated[new] = repeated[0] = False
+    if np.mean(whole) >= _REGULAR:
+        repeated[new[0] % usual :: usual] = False
+    return repeated
+
+
+def _mask_at(places: Array, count: int) -> Array:
+    """(count,) True at these places."""
+    mask = np.zeros(count, dtype=bool)
+    mask[places] = True
+    return mask
 
 
 def _long_run_mask(same: Array) -> Array:

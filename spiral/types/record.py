@@ -136,6 +136,13 @@ class Record:
         gone = self.gone(channel)
         return self.channels[channel] if gone is None else bridged(self.channels[channel], gone)
 
+    def valid_reading(self, channel: str) -> Array:
+        """``reading``, or the valid ones alone where most are not, as of a sensor that is slow."""
+        gone = self.gone(channel)
+        if gone is None or gone.mean() < 0.5:
+            return self.reading(channel)
+        return self.channels[channel][~gone]
+
     def sigma(self) -> dict[str, float]:
         """Noise of every channel: declared, or estimated without a model."""
         return dict(self._sigma)
@@ -143,7 +150,7 @@ class Record:
     @cached_property
     def _sigma(self) -> dict[str, float]:
         return {
-            name: float(self.noise.get(name) or estimate_noise(self.reading(name)))
+            name: float(self.noise.get(name) or estimate_noise(self.valid_reading(name)))
             for name in self.channels
         }
 

@@ -53,6 +53,44 @@ def test_a_coarse_converter_s_steps_are_measured_and_are_no_spikes(share):
     assert "looks clipped" in clipping("x", stopped) or share > 0.01  # each level lasts
 
 
+@pytest.mark.parametrize("each", [2, 5, 20, 4.3])
+def test_repeats_of_a_slow_sensor_are_told_once(each):
+    """Every value that is new stays, and a spike among these is found where they are dense."""
+    fresh = np.unique(np.floor(np.floor(np.arange(N) / each) * each).astype(int))
+    base = noisy(3)
+    base[fresh[60]] += 5 * MOTION.std()
+    values = base[fresh][np.searchsorted(fresh, np.arange(N), side="right") - 1]
+    found = kinds(values)
+    left = np.flatnonzero(~found["repeat"])
+    assert set(left) <= set(fresh)
+    assert len(left) >= len(fresh) - 1
+    if each < 10:
+        assert list(np.flatnonzero(found["spike"])) == [fresh[60]]
+
+
+def test_a_steady_motion_under_a_coarse_converter_is_no_slow_sensor():
+    steady = np.arange(N)
+    there_and_back = np.abs(steady % 400 - 200)
+    for values in (np.round(steady / 7), np.round(there_and_back / 7), np.floor(steady / 5)):
+        assert not kinds(values.astype(float))
+
+
+def test_a_slow_sensor_s_machine_is_found_with_honest_errors():
+    """Readings held for five samples, told as they are; held ones would look like a late sensor."""
+    truth = {"linear_stiffness.stiffness": 400.0, "linear_damping.damping": 2.0}
+    model = seed_model(Oscillator(), values={"system.mass": 1.0, **truth})
+    rng = np.random.default_rng(1)
+    force = sum(np.sin(2 * np.pi * f * TIME + f**2) for f in np.arange(1.0, 6.0, 0.5))
+    clean = simulate(model, TIME, {"force": force}, 0.0, rng).channels["x"]
+    held = (clean + 0.01 * clean.std() * rng.normal(size=N))[np.arange(N) // 5 * 5]
+    record = make_record(model.system, "held", TIME, {"x": held}, {"force": force})
+    result = spiral.compare(record, model)
+    for key, value in truth.items():
+        assert abs(result.model.values[key] - value) < 4 * result.model.errors[key]
+    assert result.test_error < 0.015
+    assert record.sigma()["x"] == pytest.approx(0.01 * clean.std(), rel=0.3)
+
+
 @pytest.mark.parametrize("apart", [1, 2, 3])
 def test_two_spikes_that_meet_are_found_beside_others_and_pulses_are_left(apart):
     """Two readings off by the same; a record that has nothing but such pairs has pulses."""

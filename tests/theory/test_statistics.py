@@ -87,11 +87,11 @@ def test_noise_is_estimated_without_a_model(sigma):
 def test_kinks_of_a_signal_leave_the_robust_estimate_alone():
     """A rate under a force that jumps every fifty samples: its kinks are no noise."""
     rng = np.random.default_rng(8)
-    rate = 0.4 * np.cumsum(np.repeat(rng.uniform(-40, 40, 80), 50))
+    rate = 1.0 * np.cumsum(np.repeat(rng.uniform(-40, 40, 80), 50))
     values = rate + rng.normal(size=len(rate))
     assert estimate_noise(values) > 1.2
-    assert estimate_noise(values, robust=True) == pytest.approx(1.0, rel=0.08)
-    assert estimate_noise(values - rate, robust=True) == pytest.approx(1.0, rel=0.08)
+    assert estimate_noise(values, robust=True) == pytest.approx(1.0, rel=0.1)
+    assert estimate_noise(values - rate, robust=True) == pytest.approx(1.0, rel=0.1)
 
 
 def test_ljung_box_is_that_of_statsmodels():

@@ -402,14 +402,17 @@ def _noisier_in_test(problem: Problem, name: str, told: float) -> float:
     """
     for robust in (False, True):
         there, here = (
-            np.sqrt(np.mean([
-                (r.noise.get(name) or estimate_noise(r.reading(name), robust)) ** 2 for r in records
-            ]))
+            np.sqrt(np.mean([_channel_noise(r, name, robust) ** 2 for r in records]))
             for records in (problem.test or problem.records, problem.records)
-        )  # fmt: skip
+        )
         if told > 0 and 1 / _AGREE <= here / told <= _AGREE:
             return float(there / here)
     return 1.0
+
+
+def _channel_noise(record: Record, name: str, robust: bool) -> float:
+    """Noise of a channel, declared, or estimated without a model."""
+    return record.noise.get(name) or estimate_noise(record.valid_reading(name), robust)
 
 
 def _declared_noise_ratio(records: Sequence[Record], noise: NoiseModel | None) -> float | None:
