@@ -10,6 +10,7 @@ from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence
 from spiral.inference.verdict import noise_sentence
+from spiral.types.formatting import percent
 from spiral.types.run import Comparison, Round, StopReason, Verdict
 
 
@@ -69,12 +70,25 @@ def _ending_sentence(
     verdict: Verdict, stopped: StopReason, last: Comparison, settings: Settings
 ) -> str:
     """Why the loop ended."""
-    near = is_near_noise(last, settings)
+    near, caveat = is_near_noise(last, settings), _random_force_caveat(last, settings)
     if verdict == "nothing_missing":
         beside = " and random forces" if random_forces(last) else ""
-        return f"The model explains this record down to its noise{beside}."
+        return f"The model explains this record down to its noise{beside}.{caveat}"
     if stopped == "max_rounds":
         return "The loop stopped at its largest number of rounds."
     if stopped == "no_candidate" or not near:
         return "No further candidate passes the gates."
-    return "What is left is white noise."
+    beside = " and random forces" if caveat else ""
+    return f"What is left is white noise{beside}.{caveat}"
+
+
+def _random_force_caveat(last: Comparison, settings: Settings) -> str:
+    """What random forces mean that move a free run by more than the smallest effect that counts."""
+    if not random_forces(last) or not last.disturbed > settings.smallest:
+        return ""
+    much = "all" if last.disturbed >= 1.0 else percent(last.disturbed)
+    return (
+        f" These forces move a free run by {much} of the motion: if nothing shakes the machine so, "
+        "something is missing that only looks random in this record; a longer or livelier one "
+        "tells."
+    )

@@ -75,6 +75,16 @@ def test_an_effect_that_leaves_noise_is_named_with_its_figures():
     assert advice == "What is left is white noise."
 
 
+@pytest.mark.parametrize(("moved", "told"), [(0.05, False), (0.4, True)])
+def test_random_forces_that_carry_a_free_run_are_no_quiet_end(moved, told):
+    pushed = replace(GOOD, random={"force.observed": 0.04}, disturbed=moved, test_error=0.3)
+    seed = Round(0, (), {}, {}, (), pushed, 1.0)
+    for found in (rounds(pushed), (seed,)):
+        verdict, _, advice = said(found, "whiteness")
+        assert ("if nothing shakes the machine so" in advice) == told, verdict
+        assert ("40.0 %" in advice) == told
+
+
 def test_more_is_missing_where_the_rest_is_far_from_noise():
     far = replace(GOOD, chi2_per_dof=798.0, whiteness_p=0.0, whiteness_effect=3.0, test_error=0.13)
     verdict, words, advice = said(rounds(far))
