@@ -71,6 +71,23 @@ class ExponentialChange(ParameterEffect):
         return exp(p.rate * v)
 
 
+class InverseChange(ParameterEffect):
+    """A parameter whose inverse changes in proportion to what it follows: value = p / (1 + a v).
+
+    A rope's stiffness with its free length, a force over a gap, compliances in series, a reaction
+    that is inhibited (1 + S/K_i). The divisor d is rounded above zero: (d + (d^2 + e^2)^(1/2)) / 2
+    over its value at d = 1, e = 0.01.
+    """
+
+    parameters = (Parameter("slope", "1/position"),)
+
+    def factor(self, at, u, p):
+        """1 / (1 + a v)."""
+        (v,) = at.position
+        divisor = 1 + p.slope * v
+        return (1 + length([1, 0.01])) / (divisor + length([divisor, 0.01]))
+
+
 class SaturatingChange(ParameterEffect):
     """A parameter that changes up to a limit: value = p (1 + a tanh(v/l))."""
 

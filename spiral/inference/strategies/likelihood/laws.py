@@ -22,17 +22,19 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.predict import total_log_likelihood
+from spiral.engine.threads import run_in_threads
 from spiral.inference.disturbances import random_forces
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
-from spiral.inference.evidence.scoring import Ranking
-from spiral.inference.likelihood.candidates import Rival
+from spiral.inference.evidence.scoring import RankedCandidate, Ranking
+from spiral.inference.likelihood.candidates import Race, Rival, fit_candidate_briefly
 from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
     is_random_force_small,
+    longest,
     prepare_filter_tasks,
     schwarz_penalty,
     with_estimate,
@@ -54,7 +56,7 @@ from spiral.inference.strategies.likelihood.admission import (
 )
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.physics.formulas.laws import laws_of
-from spiral.types.effect import Effect, ForceEffect, StateFlow
+from spiral.types.effect import Effect, ForceEffect, ParameterEffect, StateFlow
 from spiral.types.run import Comparison
 
 _CHANGES = 5  # pairs of a parameter and what it follows, for which every form is tried
@@ -198,6 +200,7 @@ def _find_law_from(
         return Refusal("it leaves more than noise, or is not likelier than what it would replace")
 
     race, ranked = contest
+    race = _with_every_form(race, ranked)
     passed = first_to_pass(
         options, assembly, start.base, race, masks[1], level, objection, progress
     ).passed
@@ -214,6 +217,31 @@ def _find_law_from(
     gone = tuple(x for x in gone if x != effect.label)
     refitted = replace(refitted, retired=(*refitted.retired, *gone))
     return NamedLaw(effect, passed.aliases, ranked, race.tried, refitted)
+
+
+def _with_every_form(race: Race, ranked: Ranking) -> Race:
+    """The race with every form of the change that leads it, in which some may not have taken part.
+
+    To first order all forms of a change are one: their scores do not tell which is the better.
+    """
+    leader = race.runners[0].ranked.variant.original if race.runners else None
+    if not isinstance(leader, ParameterEffect):
+        return race
+    refitted = {r.label for r in race.runners}
+    forms: dict[str, RankedCandidate] = {}
+    for each in ranked.ranked:
+        effect = each.variant.original
+        if effect.port == leader.port and effect.label not in refitted:
+            forms.setdefault(effect.label, each)
+
+    def fit_briefly(each: RankedCandidate) -> Rival:
+        race.progress(f"refitting with {each.variant.original.label}")
+        return fit_candidate_briefly(race.assembly, race.base, each, race.masks)
+
+    others = run_in_threads(
+        fit_briefly, tuple(forms.values()), longest(race.base.estimate.prepared)
+    )
+    return race.with_more_rivals([r for r in others if r.fit.estimate.finite])
 
 
 def _find_equal_candidate(
