@@ -109,11 +109,7 @@ def compare_by_likelihood(
         noise_floor=_relative_noise_floor(estimate, names, run, other or assembly),
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
-        **_note_fields(problem, state, free is not fit),
-        contradictions=(
-            *reversed_sign_sentences(model, problem.model.given_values),
-            *free_run_sentences(fit, free),
-        ),
+        **_note_fields(problem, state, model, fit, free),
         noise_ratio=_declared_noise_ratio(problem.records, state.noise),
         **seen,
         **_noise_and_residual_fields(assembly, fit, model, carried),
@@ -155,11 +151,20 @@ def _test_run(
     return run, starts, errors_at_horizons(other, model, run, forecaster)
 
 
-def _note_fields(problem: Problem, state: FitState, free: bool) -> dict[str, Any]:
-    """Fields of the comparison: notes on records and values, bad samples, input interpolation."""
+def _note_fields(
+    problem: Problem, state: FitState, model: Model, fit: LikelihoodFit, free: LikelihoodFit
+) -> dict[str, Any]:
+    """Fields of the comparison: notes on records and values, bad samples, input interpolation.
+
+    ``free`` is the fit whose values are shown, in place of ``fit`` where it predicts far better.
+    """
     said = (*(n for r in problem.records for n in r.remarks), *input_sentences(state.between))
     return {
-        "notes": (*said, FREE_RUN_VALUES_NOTE) if free else said,
+        "notes": said if free is fit else (*said, FREE_RUN_VALUES_NOTE),
+        "contradictions": (
+            *reversed_sign_sentences(model, problem.model.given_values),
+            *free_run_sentences(fit, free),
+        ),
         "spoilt": problem.spoilt_sentences(),
         "between": dict(state.between),
     }
