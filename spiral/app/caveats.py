@@ -1,7 +1,8 @@
-"""Caveats of a step: effects that look alike, undetermined parameters, doubtful signs."""
+"""Caveats of a step: look-alikes, undetermined parameters, doubtful signs, random forces."""
 
 from __future__ import annotations
 
+from spiral.inference.advice import random_force_caveat
 from spiral.inference.discover import Checkpoint
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import reasons_for_doubt
@@ -20,7 +21,8 @@ def turn_caveats(at: Checkpoint, settings: Settings) -> list[str]:
     """Sentences that limit a turn's verdict: undetermined parameters first, then look-alikes."""
     from spiral.view.report.text import ambiguity_notes
 
-    model = at.rounds[-1].comparison.model
+    last = at.rounds[-1].comparison
+    model = last.model
     sentences = [
         f"This record does not determine {label_words(label)}: {doubt}."
         for label in model.labels
@@ -30,6 +32,8 @@ def turn_caveats(at: Checkpoint, settings: Settings) -> list[str]:
         f"{label_words(key.replace('.', ', '))}: {said}."
         for key, said in implausible_signs(model).items()
     ]
+    sentences += [f"{said[:1].upper()}{said[1:]}." for said in last.contradictions]
+    sentences += filter(None, (random_force_caveat(last, settings),))
     for number, one in enumerate(at.rounds):
         kept = {k: v for k, v in one.aliases.items() if k in model.labels}
         lost = one.details.get("not_separable", {}) if number == len(at.rounds) - 1 else {}

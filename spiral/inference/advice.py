@@ -70,7 +70,8 @@ def _ending_sentence(
     verdict: Verdict, stopped: StopReason, last: Comparison, settings: Settings
 ) -> str:
     """Why the loop ended."""
-    near, caveat = is_near_noise(last, settings), _random_force_caveat(last, settings)
+    near, caveat = is_near_noise(last, settings), random_force_caveat(last, settings, "these")
+    caveat = f" {caveat}" if caveat else ""
     if verdict == "nothing_missing":
         beside = " and random forces" if random_forces(last) else ""
         return f"The model explains this record down to its noise{beside}.{caveat}"
@@ -82,13 +83,16 @@ def _ending_sentence(
     return f"What is left is white noise{beside}.{caveat}"
 
 
-def _random_force_caveat(last: Comparison, settings: Settings) -> str:
-    """What random forces mean that move a free run by more than the smallest effect that counts."""
+def random_force_caveat(last: Comparison, settings: Settings, named: str = "random forces") -> str:
+    """What random forces mean that move a free run by more than the smallest effect that counts.
+
+    ``named`` is what the sentence begins with; it is empty where they move it by less.
+    """
     if not random_forces(last) or not last.disturbed > settings.smallest:
         return ""
     much = "all" if last.disturbed >= 1.0 else percent(last.disturbed)
     return (
-        f" These forces move a free run by {much} of the motion: if nothing shakes the machine so, "
-        "something is missing that only looks random in this record; a longer or livelier one "
-        "tells."
+        f"{named[:1].upper()}{named[1:]} move a free run by {much} of the motion: if nothing "
+        "shakes the machine so, something is missing that only looks random in this record; a "
+        "longer or livelier one tells."
     )

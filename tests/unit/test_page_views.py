@@ -1,15 +1,23 @@
 """What a link opens, what a message offers, and figures of several models on one record."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.app.address import Address, format_address, parse_address
+from spiral.app.caveats import turn_caveats
 from spiral.app.record_setup import advised_lines, replace_line
 from spiral.app.side_by_side import comparison_errors, comparison_parameters
 from spiral.app.study import StudyState, add_turn, new_study
+from spiral.inference.discover import Checkpoint
+from spiral.inference.problem import Settings
 from spiral.io.curves import FINAL, Curves
 from spiral.io.readers.own_units import conversion_to_system, unit_field
 from spiral.types.errors import InputError
+from spiral.types.model import seed_model
+from spiral.types.run import Comparison, Round
 from spiral.view.report.overlay import overlay_models
 from spiral.view.report.trial import residual_comparison
 from spiral.view.report.unknown import force_loops
@@ -132,3 +140,16 @@ def test_steps_side_by_side_have_a_column_each(tmp_path):
     assert (
         comparison_parameters(study, study.turns).count("<td class='n'>-</td>") == 1
     )  # in one model alone
+
+
+def test_a_step_s_caveats_name_what_only_looks_random_and_what_contradicts_it():
+    comparison = Comparison(
+        seed_model(Oscillator()), 0.02, 0.02, {}, 0.02, 1.0, 0.4, 0.0, 1024, True,
+        random={"force.observed": 0.05}, disturbed=0.4, contradictions=("c turned its sign",),
+    )  # fmt: skip
+    at = Checkpoint((Round(0, (), {}, {}, (), comparison, 1.0),), None)
+    said = turn_caveats(at, Settings())
+    assert "C turned its sign." in said
+    assert any(s.startswith("Random forces move a free run by 40.0 %") for s in said)
+    calm = Checkpoint((Round(0, (), {}, {}, (), replace(comparison, disturbed=0.01), 1.0),), None)
+    assert not any("andom" in s for s in turn_caveats(calm, Settings()))
