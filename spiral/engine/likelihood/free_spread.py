@@ -28,22 +28,22 @@ _FEWEST, _MOST = 8, 64  # motions that are drawn
 
 
 def free_spread(task: FilterInput, settings: FilterSettings, noise: NoiseModel) -> Array:
-    """(samples, channels) rms of what a free run that begins at ``settings.start`` is off by.
-
-    It is as large as it can be from where a motion leaves all bounds.
-    """
-    most = np.sqrt(2.0) * task.series.deviations
-    drawn = [np.minimum(m**2, most**2) for m in draw_free_misses(task, settings, noise)]
-    return np.sqrt(sum(drawn) / len(drawn))
+    """(samples, channels) rms of what a free run that begins at ``settings.start`` is off by."""
+    total, count = np.zeros_like(task.series.y), 0
+    for miss in draw_free_misses(task, settings, noise):
+        total, count = total + miss**2, count + 1
+    return np.sqrt(total / count)
 
 
 def draw_free_misses(
     task: FilterInput, settings: FilterSettings, noise: NoiseModel, seed: int = 0
 ) -> Iterator[Array]:
-    """(samples, channels) that each of 8 to 64 drawn motions is off by; infinite where it leaves.
+    """(samples, channels) that each of 8 to 64 drawn motions is off by.
 
-    The motions of one record and ``seed`` are drawn from the same numbers.
+    It is as large as it can be from where a motion leaves all bounds. The motions of one record and
+    ``seed`` are drawn from the same numbers.
     """
+    most = np.sqrt(2.0) * task.series.deviations
     parts, n = noise_matrices(task, settings, noise.without(*COLOURED, "drift")), len(task.states)
     samples, substeps = task.series.samples, task.series.substeps
     count = int(np.clip(_STEPS // max((samples - 1) * substeps, 1), _FEWEST, _MOST))
@@ -59,7 +59,7 @@ def draw_free_misses(
         kicks[:, -1] += rng.normal(size=(samples - 1, n)) @ white.T
         with np.errstate(all="ignore"):
             miss = _disturbed_readings(task, settings.start, kicks) + z @ parts.seen.T - usual
-        yield np.nan_to_num(miss, nan=np.inf)
+        yield np.clip(np.nan_to_num(miss, nan=np.inf), -most, most)
 
 
 def _disturbed_readings(task: FilterInput, start: Array, kicks: Array) -> Array:

@@ -123,6 +123,20 @@ class Race:
             return self
         return replace(self, runners=_sort_by_worth([*self.tried, *others]), finals=[])
 
+    def with_candidates(
+        self, chosen: Sequence[RankedCandidate], far: Collection[RankedCandidate] = ()
+    ) -> Race:
+        """The race started again with these candidates too, fitted briefly; ``far`` from zero."""
+
+        def fit_briefly(ranked: RankedCandidate) -> Rival:
+            self.progress(f"refitting with {ranked.variant.original.label}")
+            return fit_candidate_briefly(
+                self.assembly, self.base, ranked, self.masks, ranked in far
+            )
+
+        samples = longest(self.base.estimate.prepared)
+        return self.with_more_rivals(run_in_threads(fit_briefly, chosen, samples))
+
     def with_only_rivals(self, others: Sequence[Rival]) -> Race:
         """The same race between these rivals alone, already fitted briefly."""
         return replace(self, runners=_sort_by_worth(others), finals=[])
@@ -193,13 +207,8 @@ def start_race(
         [] if is_random_force_small(base) else second_basin_candidates(assembly, base.state, scored)
     )
 
-    def fit_briefly(ranked: RankedCandidate) -> Rival:
-        progress(f"refitting with {ranked.variant.original.label}")
-        return fit_candidate_briefly(assembly, base, ranked, masks, ranked in far)
-
-    chosen = [*select_promising(scored, most), *far]
-    runners = run_in_threads(fit_briefly, chosen, longest(base.estimate.prepared))
-    return Race(assembly, base, masks, progress, _sort_by_worth(runners))
+    race = Race(assembly, base, masks, progress, [])
+    return race.with_candidates([*select_promising(scored, most), *far], far)
 
 
 def _sort_by_worth(runners: Sequence[Rival]) -> list[Rival]:

@@ -417,7 +417,9 @@ def _noisier_in_test(problem: Problem, name: str, told: float) -> float:
 
 def _channel_noise(record: Record, name: str, robust: bool) -> float:
     """Noise of a channel, declared, or estimated without a model."""
-    return record.noise.get(name) or estimate_noise(record.valid_reading(name), robust)
+    if not robust or record.noise.get(name):
+        return record.sigma()[name]
+    return estimate_noise(record.valid_reading(name), robust=True)
 
 
 def _declared_noise_ratio(records: Sequence[Record], noise: NoiseModel | None) -> float | None:

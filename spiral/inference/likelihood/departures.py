@@ -259,8 +259,8 @@ def _converter_remarks(model: Model, estimate: MaximumLikelihood) -> Iterator[st
 
     A step q makes an error of variance q^2 / 12, white where the motion passes many steps.
     """
-    for j, name in enumerate(estimate.prepared[0][0].compiled.traced.channels):
-        both = list(zip(estimate.prepared, estimate.predictions, strict=True))
+    both = list(zip(estimate.prepared, estimate.predictions, strict=True))
+    for j, name in enumerate(both[0][0][0].compiled.traced.channels):
         readings = np.concatenate([t.series.y[p.spreads[:, j] > 0, j] for (t, _), p in both])
         missed = np.concatenate([p.misses[p.spreads[:, j] > 0, j] for _, p in both])
         step = reading_step(readings) if len(readings) else 0.0

@@ -101,9 +101,8 @@ def _random_force_errors(free: MaximumLikelihood, noise: NoiseModel) -> Array:
     slopes = np.concatenate([p.columns.reshape(-1, len(free.keys)) for p in free.predictions])
     drawn = []
     for r, ((task, settings), part) in enumerate(zip(free.prepared, free.predictions, strict=True)):
-        most = np.sqrt(2.0) * task.series.deviations
         misses = draw_free_misses(task, settings, noise, seed=r)
-        drawn.append([(np.clip(m, -most, most) * part.weight).ravel() for m in misses])
+        drawn.append([(m * part.weight).ravel() for m in misses])
     moved = [least_squares(slopes, np.concatenate(one)).b for one in zip(*drawn, strict=False)]
     return np.sqrt(np.mean(np.square(moved), axis=0))
 

@@ -63,11 +63,10 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
             line={"color": colour, "width": 3, "shape": "hv", "dash": dash}, marker={"size": 10},
             hovertemplate="%{customdata}<br>%{y:.3g} %",
         )  # fmt: skip
-    told = _labelled_points([_as_percent(r.get("test_error")) for r in history])
-    levels = _label_levels([_as_percent(history[i].get("test_error")) for i in told])
-    for index, level in zip(told, levels, strict=True):
-        number, name, r = numbers[index], names[index], history[index]
-        value = _as_percent(r.get("test_error"))
+    errors = [_as_percent(r.get("test_error")) for r in history]
+    told = _labelled_points(errors)
+    for index, level in zip(told, _label_levels([errors[i] for i in told]), strict=True):
+        number, name, r, value = numbers[index], names[index], history[index], errors[index]
         at = {"y": 1, "yref": "paper", "yanchor": "top", "font": {"size": 13, "color": VERMILION}}
         if value is not None:
             at = {

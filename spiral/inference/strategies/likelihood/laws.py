@@ -22,19 +22,17 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.predict import total_log_likelihood
-from spiral.engine.threads import run_in_threads
 from spiral.inference.disturbances import random_forces
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking
-from spiral.inference.likelihood.candidates import Race, Rival, fit_candidate_briefly
+from spiral.inference.likelihood.candidates import Race, Rival
 from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
     is_random_force_small,
-    longest,
     prepare_filter_tasks,
     schwarz_penalty,
     with_estimate,
@@ -233,15 +231,7 @@ def _with_every_form(race: Race, ranked: Ranking) -> Race:
         effect = each.variant.original
         if effect.port == leader.port and effect.label not in refitted:
             forms.setdefault(effect.label, each)
-
-    def fit_briefly(each: RankedCandidate) -> Rival:
-        race.progress(f"refitting with {each.variant.original.label}")
-        return fit_candidate_briefly(race.assembly, race.base, each, race.masks)
-
-    others = run_in_threads(
-        fit_briefly, tuple(forms.values()), longest(race.base.estimate.prepared)
-    )
-    return race.with_more_rivals([r for r in others if r.fit.estimate.finite])
+    return race.with_candidates(tuple(forms.values()))
 
 
 def _find_equal_candidate(
