@@ -81,7 +81,7 @@ def filterpy_run(
     kalman.Q, kalman.R = settings.process, np.diag(settings.noise)
     means, covariances, transitions = np.empty((samples, n)), *np.empty((2, samples, n, n))
     for k in range(samples):
-        u = task.inputs[2 * k * task.series.substeps]
+        u = task.inputs[3 * k * task.series.substeps]
         reading, slopes = output(kalman.x, u)
         kalman.update(task.series.y[k], lambda x, c=slopes: c, lambda x, h=reading: h)
         means[k], covariances[k] = kalman.x, kalman.P
@@ -102,7 +102,7 @@ def runge_kutta(
     for sub in range(substeps):
         slope, rates, total, sums = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
         for stage, (point, gain) in enumerate(((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0))):
-            at = 2 * (sample * substeps + sub) + (stage + 1) // 2
+            at = 3 * (sample * substeps + sub) + (stage + 1) // 2
             inputs = task.inputs[min(at, len(task.inputs) - 1)]
             f, a = rate(x + point * step * slope, inputs)
             slope, rates = f.copy(), a @ (s + point * step * rates)

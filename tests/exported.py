@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from spiral.engine.series import half_step_inputs
+from spiral.engine.series import stage_inputs
 from spiral.inference.simulate import integrate
 from spiral.io.registry import load_registry
 from spiral.physics.compile import compile_model
@@ -48,11 +48,11 @@ class Machine:
 
     @property
     def grid(self):
-        """Inputs and time at each half step."""
+        """Inputs and time at the stages of all steps, then at the last sample."""
         system = self.model.system
         quiet = dict(zip(system.observed, self.readings.T, strict=True))
         frame = make_record(system, "planned", TIME, quiet, self.inputs)
-        return half_step_inputs(system, frame, SUBSTEPS)
+        return stage_inputs(system, frame, SUBSTEPS)
 
     @property
     def point(self):

@@ -99,7 +99,7 @@ def advance_windows(
     phase : (2,) position of the phase origin, and number of parameters of the model; what follows
         them in ``p`` are coefficients of a phase correction, whose derivative is that of the origin
         times a spline. first, basis : its splines on the half-step grid, first one and weights.
-    inputs : ((samples - 1) * 2 * substeps + 1, inputs) on the half-step grid.
+    inputs : ((samples - 1) * 3 * substeps + 1, inputs) at the stages (``series.stage_inputs``).
     substeps : Runge-Kutta steps per sample; dt : sample interval in s.
     y : (samples, channels) measurements; weight : (samples, channels), 1/sigma or 0.
     rows : (windows, length * channels, width + 1) out: weight * [d y / d(x0, p) | y - h].
@@ -112,7 +112,7 @@ def advance_windows(
     width = s.shape[2]
     channels = y.shape[1]
     count = columns.shape[0]
-    last = (inputs.shape[0] - 1) // (2 * substeps)
+    last = (inputs.shape[0] - 1) // (3 * substeps)
     step = dt / substeps
     f = np.empty(n)
     a = np.zeros((n, n))
@@ -130,7 +130,7 @@ def advance_windows(
         sw = s[w]
         for k in range(length):
             sample = starts[w] + k
-            output(xw, inputs[sample * 2 * substeps], p, h, cx, cp)
+            output(xw, inputs[sample * 3 * substeps], p, h, cx, cp)
             _add_correction_columns(cp, phase, first, basis, sample * 2 * substeps)
             for j in range(channels):
                 scale = weight[sample, j]
@@ -152,7 +152,7 @@ def advance_windows(
             if sample == last:
                 continue
             for sub in range(substeps):
-                at = (sample * substeps + sub) * 2
+                at = sample * substeps + sub
                 total[:] = 0.0
                 stotal[:] = 0.0
                 f[:] = 0.0
@@ -164,8 +164,9 @@ def advance_windows(
                         xs[i] = xw[i] + point * step * f[i]
                         for c in range(width):
                             ss[i, c] = sw[i, c] + point * step * slope[i, c]
-                    rate(xs, inputs[at + (stage + 1) // 2], p, f, a, b)
-                    _add_correction_columns(b, phase, first, basis, at + (stage + 1) // 2)
+                    place = (stage + 1) // 2
+                    rate(xs, inputs[3 * at + place], p, f, a, b)
+                    _add_correction_columns(b, phase, first, basis, 2 * at + place)
                     sensitivity_rates(a, b, columns, ss, slope)
                     for i in range(n):
                         total[i] += gain * f[i]
@@ -240,7 +241,7 @@ def trajectories(rate, output, x, starts, lengths, p, inputs, substeps, dt, stat
             xw[i] = x[w, i]
         for k in range(lengths[w]):
             sample = starts[w] + k
-            output(xw, inputs[sample * 2 * substeps], p[0], h)
+            output(xw, inputs[sample * 3 * substeps], p[0], h)
             for i in range(n):
                 states[sample, i] = xw[i]
             for j in range(channels):
@@ -248,7 +249,7 @@ def trajectories(rate, output, x, starts, lengths, p, inputs, substeps, dt, stat
             if k == lengths[w] - 1 or sample == samples - 1:
                 break
             for sub in range(substeps):
-                runge_kutta(rate, xw, p[0], inputs, (sample * substeps + sub) * 2, step, work)
+                runge_kutta(rate, xw, p[0], inputs, (sample * substeps + sub) * 3, step, work)
             for i in range(n):
                 if not np.isfinite(xw[i]) or abs(xw[i]) > 1e12:
                     return False
@@ -276,7 +277,7 @@ def drive_states(rate, states, own, p, inputs, substeps, dt):
         now[i] = states[0, own[i]]
     for k in range(samples - 1):
         for sub in range(substeps):
-            at = (k * substeps + sub) * 2
+            at = (k * substeps + sub) * 3
             total[:] = 0.0
             slope[:] = 0.0
             for stage in range(4):

@@ -46,12 +46,10 @@ class Splines:
 class Series:
     """Arrays of one record.
 
-    ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` ((samples - 1) * 2 * substeps + 1,
-    input columns) on the half-step grid of the integrator, ``dt`` in s; ``zero_order`` are
-    columns whose value stays from one sample to the next. ``seen`` (samples, channels) is False
-    where a reading is no measurement (``y`` is bridged there), or nothing where all are; ``growth``
-    by channel is (centre, height, mean) of a noise variance that grows with the reading
-    (``grown``).
+    ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` as of ``stage_inputs``, ``dt`` in
+    s. ``seen`` (samples, channels) is False where a reading is no measurement (``y`` is bridged
+    there), or nothing where all are; ``growth`` by channel is (centre, height, mean) of a noise
+    variance that grows with the reading (``grown``).
     """
 
     record: Record
@@ -61,7 +59,6 @@ class Series:
     dt: float
     substeps: int
     splines: Splines
-    zero_order: tuple[int, ...] = ()
     seen: Array | None = None
     growth: tuple[tuple[float, float, float] | None, ...] = ()
 
@@ -99,25 +96,6 @@ class Series:
     def mean_inputs(self) -> Array:
         """(input columns,) their mean over the record."""
         return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
-
-    def stages(self, grid: Array) -> Array:
-        """(3 * steps, columns): inputs at the start, middle and end of every integration step.
-
-        On the half-step grid a step shares its end with the start of the next, where a held value
-        jumps; here each step has its own. Those of the record's own grid are kept.
-        """
-        return self._own_stages if grid is self.inputs else self._stage_inputs(grid)
-
-    @cached_property
-    def _own_stages(self) -> Array:
-        return self._stage_inputs(self.inputs)
-
-    def _stage_inputs(self, grid: Array) -> Array:
-        stages = np.empty((3 * (len(grid) // 2), grid.shape[1]))
-        stages[0::3], stages[1::3], stages[2::3] = grid[:-1:2], grid[1::2], grid[2::2]
-        for column in self.zero_order:
-            stages[0::3, column] = stages[2::3, column] = grid[1::2, column]
-        return stages
 
     @cached_property
     def grown(self) -> Array | None:
@@ -171,13 +149,10 @@ def _build_series(system: System, record: Record, substeps: int, knot: float) ->
         record=record,
         y=np.column_stack([record.reading(c) for c in system.observed]),
         sigma=np.array([sigma[c] for c in system.observed]),
-        inputs=half_step_inputs(system, record, substeps),
+        inputs=stage_inputs(system, record, substeps),
         dt=record.dt,
         substeps=substeps,
         splines=correction_splines(record, substeps, knot if wanted else 0.0),
-        zero_order=tuple(
-            k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"
-        ),
         seen=measured_mask(record, system.observed),
         growth=tuple(record.growth.get(c) for c in system.observed),
     )
@@ -225,13 +200,19 @@ def steps_per_sample(eigenvalues: Array, dt: float, exact_to: float = np.inf) ->
     return int(np.clip(np.ceil(np.max(seen, initial=0.0)), 1, MOST_SUBSTEPS))
 
 
-def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
-    """Inputs at every half step of the integrator; columns as in ``trace.input_columns``."""
+def stage_inputs(system: System, record: Record, substeps: int) -> Array:
+    """Inputs at the start, middle and end of every integration step, then at the last sample.
+
+    (3 * steps + 1, columns), columns as in ``trace.input_columns``: sample k is row
+    3 * substeps * k. A step does not share its end with the start of the next, since an input that
+    is held jumps there: the step before ends with the old value, and the reading, like the step
+    after, has the new one.
+    """
     count = (record.samples - 1) * 2 * substeps + 1
     coarse = np.arange(record.samples, dtype=float)
     fine = np.arange(count) / (2.0 * substeps)
     columns = [
-        interpolate_input(record.inputs[i.name], coarse, fine, record.between(i), substeps)
+        interpolate_input(record.inputs[i.name], coarse, fine, record.between(i))
         for i in system.inputs
     ]
     columns += [
@@ -240,34 +221,44 @@ def half_step_inputs(system: System, record: Record, substeps: int) -> Array:
         if i.derivative
     ]
     columns.append(record.time[0] + fine * record.dt)
-    return np.ascontiguousarray(np.column_stack(columns))
+    stages = rows_at_stages(np.column_stack(columns))
+    held = [k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"]
+    stages[2::3, held] = stages[1::3, held]
+    return stages
 
 
-def interpolate_input(values: Array, coarse: Array, fine: Array, how: str, substeps: int) -> Array:
-    """An input on the half-step grid, run between its samples as ``Input.interpolation`` says."""
+def rows_at_stages(rows: Array) -> Array:
+    """Rows of the half-step grid at the stages of all integration steps (``stage_inputs``)."""
+    steps = len(rows) // 2
+    return rows[np.append(2 * np.arange(steps)[:, None] + np.arange(3), 2 * steps)]
+
+
+def sample_inputs(stages: Array, substeps: int) -> Array:
+    """(samples, columns) inputs at the samples, from those at the stages (``stage_inputs``).
+
+    Where a held input jumps, the mean of both values: what acts about the sample, as in a rate that
+    is taken across it. A reading at the sample has the new value.
+    """
+    rows = stages[:: 3 * substeps].copy()
+    rows[1:] = 0.5 * (rows[1:] + stages[3 * substeps - 1 :: 3 * substeps])
+    return rows
+
+
+def interpolate_input(values: Array, coarse: Array, fine: Array, how: str) -> Array:
+    """An input on a finer grid, run between its samples as ``Input.interpolation`` says."""
     if how == "zero_order":
-        return zero_order_hold(values, substeps)
+        return values[fine.astype(np.int64)]
     if how == "linear":
         return np.interp(fine, coarse, values)
     if how == "band_limited":
         from scipy.signal import resample_poly
 
-        dense = resample_poly(values, 2 * substeps, 1, window=("kaiser", 8.0), padtype="line")
+        finer = round((len(fine) - 1) / (len(values) - 1))
+        dense = resample_poly(values, finer, 1, window=("kaiser", 8.0), padtype="line")
         return dense[: len(fine)]
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(coarse, values)(fine)
-
-
-def zero_order_hold(values: Array, substeps: int) -> Array:
-    """Each value until the next one; at the jump the mean of both, which keeps the integral.
-
-    A Runge-Kutta step weighs its two ends alike: with the later value there, every step would begin
-    to follow it a sixth of a step too early.
-    """
-    held = np.append(np.repeat(values[:-1], 2 * substeps), values[-1])
-    held[2 * substeps :: 2 * substeps] = 0.5 * (values[:-1] + values[1:])
-    return held
 
 
 def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:

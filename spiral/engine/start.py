@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from spiral.engine.series import Series
+from spiral.engine.series import Series, sample_inputs
 from spiral.engine.study import CompiledStudy
 from spiral.physics.outside.program import ProgramValue
 from spiral.physics.trace import TracedModel
@@ -54,7 +54,7 @@ def smoothed_motion(study: CompiledStudy, series: Series, window: int) -> Motion
         states[:, traced.states.index(traced.rate_name(name))] = rate
         states[:, traced.states.index(name)] = _integrate_rate(rate, series)
         acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
-    fill_like_states(traced, states, series.inputs[:: 2 * series.substeps], smooth[0])
+    fill_like_states(traced, states, sample_inputs(series.inputs, series.substeps), smooth[0])
     return Motion(states, acceleration)
 
 
@@ -232,7 +232,7 @@ def _balance_rows(
     equations: Balance, series: Series, moving: Motion, row: Array, window: int
 ) -> tuple[Array, Array]:
     """Rows (samples * coordinates) of the regression of one record, its ends left out."""
-    u = series.inputs[:: 2 * series.substeps]
+    u = sample_inputs(series.inputs, series.substeps)
     edge = slice(window, -window)
 
     def evaluate_rows(function: Callable[..., list[Any]], shift: float, width: int) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spiral.engine.series import Series
+from spiral.engine.series import Series, rows_at_stages
 from spiral.engine.windows import WindowLayout
 from spiral.physics.compile import CompiledModel
 from spiral.types.label import owner_of, parameter_of
@@ -63,13 +63,13 @@ class CompiledStudy:
         return self.keys.index(key)
 
     def inputs(self, record: int, row: Array) -> Array:
-        """Inputs of a record on the half-step grid, its phase corrected by a row of values."""
+        """Inputs of a record as of ``stage_inputs``, its phase corrected by a row of values."""
         series = self.series[record]
         if not series.splines.count:
             return series.inputs
         corrected = series.inputs.copy()
         position = self.compiled.traced.inputs.index("phase")
-        corrected[:, position] += series.splines.value(row[len(self.keys) :])
+        corrected[:, position] += rows_at_stages(series.splines.value(row[len(self.keys) :]))
         return corrected
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.kernel import trajectories
-from spiral.engine.series import half_step_inputs
+from spiral.engine.series import stage_inputs
 from spiral.engine.start import fill_like_states
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -78,7 +78,7 @@ def integrate(
                 f"initial state {key!r}", f"one of {', '.join(compiled.traced.states)}"
             )
         x[compiled.traced.states.index(key)] = value
-    stepped = half_step_inputs(model.system, frame, substeps)
+    stepped = stage_inputs(model.system, frame, substeps)
     known = {s.name for s in model.system.states} | set(start or {})
     fill_like_states(compiled.traced, x, stepped[0], known=known)
     states = np.empty((len(time), len(x)))

@@ -185,7 +185,7 @@ def test_second_order_transition_is_the_papers():
     found = filter_record(task, settings, keep=True)
     k, n = 200, 8
     a, b, f = np.zeros((n, n)), np.zeros((n, len(task.values))), np.empty(n)
-    task.compiled.rate(found.means[k], task.inputs[2 * k], task.values, f, a, b)
+    task.compiled.rate(found.means[k], task.inputs[3 * k], task.values, f, a, b)
     h = task.series.dt
     assert task.series.substeps == 1
     assert np.allclose(found.transitions[k], np.eye(n) + h * a + h * h * a @ a / 2, rtol=1e-12)

@@ -176,12 +176,12 @@ def test_the_c_file_runs_as_we_do(machine, tmp_path):
     states, readings = [], []
     for k in range(SUBSTEPS * (len(TIME) - 1) + 1):
         if k % SUBSTEPS == 0:
-            call["readings"](double(grid[2 * k, -1]), doubles(x), doubles(u[2 * k]), p, doubles(y))
+            call["readings"](double(grid[3 * k, -1]), doubles(x), doubles(u[3 * k]), p, doubles(y))
             states.append(x.copy())
             readings.append(y.copy())
-        if 2 * k + 2 < len(u):
-            rows = u[2 * k : 2 * k + 3]
-            call["step"](double(grid[2 * k, -1]), double(STEP), doubles(rows), p, doubles(x))
+        if 3 * k + 2 < len(u):
+            rows = u[3 * k : 3 * k + 3]
+            call["step"](double(grid[3 * k, -1]), double(STEP), doubles(rows), p, doubles(x))
     same(states, machine.states)
     same(readings, machine.readings)
     x, u = machine.point
@@ -208,7 +208,7 @@ def test_the_casadi_file_runs_as_we_do(machine, tmp_path):
     for k in range(SUBSTEPS * (len(TIME) - 1)):
         if k % SUBSTEPS == 0:
             states.append(np.array(x).ravel())
-        x = module.step(grid[2 * k, -1], STEP, x, grid[2 * k : 2 * k + 3, :-1].T, p)
+        x = module.step(grid[3 * k, -1], STEP, x, grid[3 * k : 3 * k + 3, :-1].T, p)
     same(np.array(states), machine.states[:-1])
     x, u = machine.point
     given = (u[-1], x, u[:-1], p)

@@ -169,7 +169,7 @@ def _second_order_step(rate, x, p, tracked, inputs, at, substeps, step, s, a, b)
     n, vectors, rates = s.shape[0], np.zeros((2, s.shape[0])), np.zeros_like(s)
     here, slope = vectors[0], vectors[1]
     for sub in range(substeps):
-        rate(x[:n], inputs[at + 2 * sub], p, slope, a, b)
+        rate(x[:n], inputs[at + 3 * sub], p, slope, a, b)
         sensitivity_rates(a, b, tracked, s, rates)
         _add_second_order(a, step, rates, s)
         total = slope.copy()
@@ -177,7 +177,7 @@ def _second_order_step(rate, x, p, tracked, inputs, at, substeps, step, s, a, b)
             point = step * (1.0 if stage == 3 else 0.5)
             for i in range(n):
                 here[i] = x[i] + point * slope[i]
-            rate(here, inputs[at + 2 * sub + (stage + 1) // 2], p, slope, a, b)
+            rate(here, inputs[at + 3 * sub + (stage + 1) // 2], p, slope, a, b)
             for i in range(n):
                 total[i] += (1.0 if stage == 3 else 2.0) * slope[i]
         for i in range(n):
@@ -252,7 +252,7 @@ def extended_filter(
         ``mode`` is SECOND_ORDER.
     x : (N,) mean before the first sample, tracked parameters last; p : (N, N) its covariance;
         both are overwritten. values : (parameters,); tracked : indices of those appended to x.
-    inputs : on the half-step grid; substeps : Runge-Kutta steps per sample; dt : s.
+    inputs : at the stages (``series.stage_inputs``); substeps : steps per sample; dt : s.
     mode : EXACT or SECOND_ORDER. y : (samples, channels), NaN where a sample is missing.
     r : (channels,) variance of the noise; q : (N, N) covariance of the process noise per sample.
     means, variances : (samples, N) out, after each update. innovations, spreads : (samples,
@@ -273,7 +273,7 @@ def extended_filter(
     gain, w, likelihood = np.zeros((size, m)), np.zeros((m, m)), 0.0
     for k in range(samples):
         write_tracked(values, tracked, x)
-        output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
+        output(x[:n], inputs[k * 3 * substeps], values, h, cx, cv)
         term = _update_sample(x, p, y[k], r, h, cx, cv, tracked, c, innovations[k], spreads[k],
                          gain, cp, w)  # fmt: skip
         if not np.isfinite(term):
@@ -287,11 +287,11 @@ def extended_filter(
         write_tracked(values, tracked, x)
         if mode == EXACT:
             reset_to_identity(wide)
-            flow(x, inputs, k * substeps * 2, 2, substeps, dt / substeps, values, wide, work, 0)
+            flow(x, inputs, k * substeps * 3, 3, substeps, dt / substeps, values, wide, work, 0)
             f[:n] = wide[:, :size]
         else:
             reset_to_identity(f)
-            _second_order_step(rate, x, values, tracked, inputs, k * substeps * 2, substeps,
+            _second_order_step(rate, x, values, tracked, inputs, k * substeps * 3, substeps,
                           dt / substeps, f[:n], a, b)  # fmt: skip
         if covariances.shape[0] > 0:
             transitions[k] = f

@@ -74,7 +74,7 @@ def prediction_slopes(
     flow, output : model functions with slopes by the parameters ``both``.
     x : (N,) mean before the first sample, tracked parameters last. values : (parameters,).
     both : indices of the ``tracked`` parameters at the end of x, then of those differentiated (q).
-    inputs : on the half-step grid; substeps : Runge-Kutta steps per sample; dt : s.
+    inputs : at the stages (``series.stage_inputs``); substeps : steps per sample; dt : s.
     means, gains : (samples, N) and (samples, N, channels) that the filter left.
     slopes : (samples, channels, q) out.
     """
@@ -86,12 +86,12 @@ def prediction_slopes(
     followed = both[:tracked]
     for k in range(samples):
         write_tracked(values, followed, x)
-        output(x[:n], inputs[k * 2 * substeps], values, h, cx, cv)
+        output(x[:n], inputs[k * 3 * substeps], values, h, cx, cv)
         _measurement_slopes(cx, cv, both, tracked, s, gains[k], slopes[k])
         if k == samples - 1:
             break
         x[:] = means[k]
         write_tracked(values, followed, x)
         reset_to_identity(f)
-        flow(x, inputs, k * substeps * 2, 2, substeps, step, values, f, work, 0)
+        flow(x, inputs, k * substeps * 3, 3, substeps, step, values, f, work, 0)
         _propagate_slopes(f, s, out)

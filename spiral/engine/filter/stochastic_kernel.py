@@ -27,14 +27,14 @@ def disturbed_trajectory(rate, output, x, values, inputs, substeps, dt, kicks, s
     step = dt / substeps
     work, h = np.zeros((3, n)), np.zeros(readings.shape[1])
     for k in range(samples):
-        output(x, inputs[k * 2 * substeps], values, h)
+        output(x, inputs[k * 3 * substeps], values, h)
         states[k] = x
         readings[k] = h
         if k == samples - 1:
             break
         for sub in range(substeps):
             at = k * substeps + sub
-            runge_kutta(rate, x, values, inputs, 2 * at, step, work)
+            runge_kutta(rate, x, values, inputs, 3 * at, step, work)
             for i in range(n):
                 x[i] += kicks[at, i]
                 if not np.isfinite(x[i]):

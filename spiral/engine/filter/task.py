@@ -37,7 +37,7 @@ class FilterInput:
     """What the Kalman filter needs for one record: model, samples, values, initial state, scales.
 
     ``compiled`` has derivatives for the record's own parameters only (see ``compile_model``);
-    ``values`` (parameters,); ``inputs`` on the half-step grid; ``start`` and ``spread`` (n,) mean
+    ``values`` (parameters,); ``inputs`` as of ``stage_inputs``; ``start`` and ``spread`` (n,) mean
     and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
     deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
     where there is one; ``moved`` are parameters that slopes will be asked by, for which one flow is
@@ -126,7 +126,7 @@ def prepare_task(
     model : every parameter needs a value.
     start : (n,) mean before the first sample; left out, the first measurement, its static map for
         hidden coordinates, and rates of zero.
-    inputs : on the half-step grid where a fit has corrected them (needs ``substeps`` as there).
+    inputs : as of ``stage_inputs``, where a fit has corrected them (needs ``substeps`` as there).
     substeps : Runge-Kutta steps per sample; left out, enough for the fastest mode.
     every : derivatives for all parameters, not the record's own alone.
 

@@ -73,7 +73,7 @@ def _advance_point(rate, x, values, tracked, inputs, at, substeps, step, work):
     """One sample of x' = f by RK4 for one point, in place; its tracked entries stay."""
     write_tracked(values, tracked, x)
     for sub in range(substeps):
-        runge_kutta(rate, x, values, inputs, at + 2 * sub, step, work)
+        runge_kutta(rate, x, values, inputs, at + 3 * sub, step, work)
 
 
 @nb.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -134,7 +134,7 @@ def unscented_filter(
         _draw_sigma_points(x, p, spread, points, root)
         for i in range(count):
             write_tracked(values, tracked, points[i])
-            output(points[i, :n], inputs[k * 2 * substeps], values, readings[i])
+            output(points[i, :n], inputs[k * 3 * substeps], values, readings[i])
         term = _unscented_update(x, p, points, readings, weights, r, y[k], innovations[k],
                                   spreads[k], expected, cross, w)  # fmt: skip
         if not np.isfinite(term):
@@ -149,7 +149,7 @@ def unscented_filter(
             break
         _draw_sigma_points(x, p, spread, points, root)
         for i in range(count):
-            _advance_point(rate, points[i], values, tracked, inputs, k * substeps * 2, substeps,
+            _advance_point(rate, points[i], values, tracked, inputs, k * substeps * 3, substeps,
                          dt / substeps, work)  # fmt: skip
         _sigma_moments(points, weights, x, p)
         for i in range(size):

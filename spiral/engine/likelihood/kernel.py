@@ -115,7 +115,7 @@ def _store_sample(k, c, x, rows, means):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _advance_sample(flow, x, stages, k, substeps, dt, values, same, f, work, own, own_work):
+def _advance_sample(flow, x, inputs, k, substeps, dt, values, same, f, work, own, own_work):
     """x a sample on, and its slopes f by states and parameters.
 
     Where those by the states are the ``same`` as at the sample before, the others (``own``) alone.
@@ -123,10 +123,10 @@ def _advance_sample(flow, x, stages, k, substeps, dt, values, same, f, work, own
     n, at, step = f.shape[0], k * substeps * 3, dt / substeps
     if not same:
         reset_to_identity(f)
-        flow(x, stages, at, 3, substeps, step, values, f, work, 0)
+        flow(x, inputs, at, 3, substeps, step, values, f, work, 0)
         return
     own[:] = 0.0
-    flow(x, stages, at, 3, substeps, step, values, own, own_work, n)
+    flow(x, inputs, at, 3, substeps, step, values, own, own_work, n)
     for i in range(n):
         for j in range(min(own.shape[1], f.shape[1] - n)):
             f[i, n + j] = own[i, j]
@@ -134,7 +134,7 @@ def _advance_sample(flow, x, stages, k, substeps, dt, values, same, f, work, own
 
 @nb.njit(**LOOP, fastmath=_FAST)
 def _predict_along(
-    values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
+    values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
     y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains, rows,
     states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
     scratch, space, h, cx, cv, own, own_work,
@@ -145,7 +145,7 @@ def _predict_along(
     k = 0
     for k in range(y.shape[0]):
         write_tracked(values, followed, followed_states)
-        output(states, inputs[k * 2 * substeps], values, h, cx, cv)
+        output(states, inputs[k * 3 * substeps], values, h, cx, cv)
         _reading_rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
         if not _absorb_sample(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
                          spreads, slopes, gains):  # fmt: skip
@@ -155,7 +155,7 @@ def _predict_along(
             break
         write_tracked(values, followed, followed_states)
         add_forces(x, driven, entries, first, half)
-        _advance_sample(flow, x, stages, k, substeps, dt, values, constant and k > 0, f, work,
+        _advance_sample(flow, x, inputs, k, substeps, dt, values, constant and k > 0, f, work,
                         own, own_work)  # fmt: skip
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
@@ -170,13 +170,13 @@ def _predict_along(
 @nb.njit(
     types.int64(
         FLOW_FUNCTION, MODEL_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _F2, _F1, _I1, types.int64,
-        _F2, _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2, types.boolean, _F2, _F2,
+        _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2, types.boolean, _F2, _F2,
         _F3, _F2, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
-    flow, output, product, lower, absorb, mean, covariance, values, both, tracked, inputs, stages,
+    flow, output, product, lower, absorb, mean, covariance, values, both, tracked, inputs,
     substeps, dt, y, r, q, phi, seen, driven, constant,
     misses, spreads, slopes, means, transitions, gains, rows,
 ):  # fmt: skip
@@ -189,8 +189,8 @@ def predict_record(
     mean : (N,) of (states, tracked parameters, noise states) before the first sample; covariance :
         (N, N) of it. values : (parameters,), overwritten where tracked.
     both : indices of the ``tracked`` parameters, then of those differentiated (width).
-    inputs : on the half-step grid; stages : of every Runge-Kutta step (``Series.stages``);
-    substeps : steps per sample; dt : s.
+    inputs : at the stages of every Runge-Kutta step (``series.stage_inputs``); substeps : steps per
+        sample; dt : s.
     y : (samples, channels), NaN where missing; r : (samples or 1, channels) variance of the white
         noise.
     q : (N, N) covariance that a sample adds; phi (k, k), seen (channels, k), driven (n, k) : Phi,
@@ -220,7 +220,7 @@ def predict_record(
     links = entries_of(phi)
     turn_noise_rows(phi, links, n, turned)
     return _predict_along(
-        values, flow, output, product, lower, absorb, both, tracked, inputs, stages, substeps, dt,
+        values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
         y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains,
         rows, x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a,
         turned, x, c, d, scratch, space, h, cx, cv, own, own_work,
@@ -267,7 +267,7 @@ def _propagate_departure(x, a, z, phi, before, n, first, later):
 
 @nb.njit(**LOOP, fastmath=_FAST)
 def _vary_along(
-    values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven, constant,
+    values, flow, product, lower, absorb, followed, inputs, substeps, dt, phi, driven, constant,
     means, gains, rows, before, seen, r, q, phis, misses, spreads,
     n, first, followed_states, entries, links, none, f, work, p, x, here, later,
     scratch, space, w, a, turned, own, own_work,
@@ -286,7 +286,7 @@ def _vary_along(
                 here[i] = means[k, i]
             write_tracked(values, followed, followed_states)
             add_forces(here, driven, entries, first, 0.5 * dt)
-            _advance_sample(flow, here, stages, k, substeps, dt, values, same, f, work, own,
+            _advance_sample(flow, here, inputs, k, substeps, dt, values, same, f, work, own,
                             own_work)  # fmt: skip
             transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
@@ -304,7 +304,7 @@ def _vary_along(
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def vary_record(
-    flow, product, lower, absorb, values, followed, stages, substeps, dt, phi, driven, constant,
+    flow, product, lower, absorb, values, followed, inputs, substeps, dt, phi, driven, constant,
     means, gains, rows, before, seen, starts, r, q, phis, misses, spreads,
 ):  # fmt: skip
     """One-step predictions of a record under other models of its noise, along one filtered motion.
@@ -333,7 +333,7 @@ def vary_record(
     p[:, :size, :size] = starts
     links = entries_of(np.sum(np.abs(phis), axis=0))
     _vary_along(
-        values, flow, product, lower, absorb, followed, stages, substeps, dt, phi, driven, constant,
+        values, flow, product, lower, absorb, followed, inputs, substeps, dt, phi, driven, constant,
         means, gains, rows, before, seen, r, q, phis, misses, spreads,
         n, first, here[:first], entries_of(driven), links, np.zeros((1, 0)), f, work, p, x, here,
         later, scratch, space, w, a, turned, own, own_work,

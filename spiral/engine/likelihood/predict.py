@@ -108,13 +108,13 @@ def predict_readings(
         np.zeros((kept, size)), np.zeros((more, size, size)), np.zeros((kept, m, size)),
         np.zeros((kept, m, size)),
     )  # fmt: skip
-    grid, series = task.inputs, task.series
+    series = task.series
     y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
     done = predict_record(
         flow.advance, flow.output, compiled.product, compiled.lower, compiled.absorb,
         np.concatenate([first, np.zeros(size - len(first))]),
-        parts.p, task.values.copy(), both, len(tracked), grid, series.stages(grid),
-        series.substeps, series.dt, np.ascontiguousarray(y), white, parts.q, parts.phi,
+        parts.p, task.values.copy(), both, len(tracked), task.inputs, series.substeps, series.dt,
+        np.ascontiguousarray(y), white, parts.q, parts.phi,
         parts.seen, parts.driven, _is_transition_constant(task, settings), *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done), settings.volume)
@@ -159,7 +159,7 @@ def vary_noise(
     series = task.series
     vary_record(
         flow.advance, compiled.product, compiled.lower, compiled.absorb, task.values.copy(),
-        tracked, series.stages(task.inputs), series.substeps, series.dt, first.phi, first.driven,
+        tracked, task.inputs, series.substeps, series.dt, first.phi, first.driven,
         _is_transition_constant(task, settings), run.means, run.gains, run.rows, run.misses,
         run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip

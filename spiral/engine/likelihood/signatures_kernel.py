@@ -85,11 +85,14 @@ def propagate_signatures(transitions, gains, rows, pushes, readings, s, half, sl
 
 
 @nb.njit(
-    types.void(VALUE_FUNCTION, VALUE_FUNCTION, _F2, _F2, _F1, _F2, _F2),
+    types.void(VALUE_FUNCTION, VALUE_FUNCTION, _F2, _F2, _F2, _F1, _F2, _F2),
     cache=True, nogil=True, error_model="numpy",
 )  # fmt: skip
-def evaluate_along(rate, output, states, inputs, values, rates, readings):
-    """Rates (samples, n) and readings (samples, channels) of a model along its states, out."""
+def evaluate_along(rate, output, states, inputs, given, values, rates, readings):
+    """Rates (samples, n) and readings (samples, channels) of a model along its states, out.
+
+    ``inputs`` act on the rates, ``given`` are those of the readings.
+    """
     for k in range(states.shape[0]):
         rate(states[k], inputs[k], values, rates[k])
-        output(states[k], inputs[k], values, readings[k])
+        output(states[k], given[k], values, readings[k])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from spiral.engine.series import prepare_series
+from spiral.engine.series import prepare_series, sample_inputs
 from spiral.engine.study import ORIGIN, CompiledStudy, ParameterColumns, columns_for
 from spiral.inference.evidence.scales import (
     covering_samples,
@@ -185,7 +185,7 @@ def _undefined_candidates(assembly: Assembly, states: Sequence[Array]) -> tuple[
     """Candidates whose force or slopes are no numbers somewhere along the records."""
     study = assembly.study
     rows = initial_values(assembly)
-    inputs = [s.inputs[:: 2 * s.substeps] for s in study.series]
+    inputs = [sample_inputs(s.inputs, s.substeps) for s in study.series]
     for record, (x, u) in enumerate(zip(states, inputs, strict=False)):
         where = covering_samples(x)
         if is_finite_along(study.compiled, rows[record], x[where], u[where]):

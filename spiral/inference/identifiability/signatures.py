@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spiral.engine.series import half_step_inputs
+from spiral.engine.series import sample_inputs, stage_inputs
 from spiral.engine.study import column_owner
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect
@@ -158,7 +158,7 @@ def _input_shapes(system: System, effects: Sequence[Effect], record: Record) -> 
 
 def _input_samples(system: System, record: Record) -> Array:
     """(N, inputs) in the order of the traced inputs, rates included."""
-    return half_step_inputs(system, record, 1)[::2]
+    return sample_inputs(stage_inputs(system, record, 1), 1)
 
 
 def _nonzero_columns(

@@ -20,7 +20,7 @@ from spiral.engine.likelihood.predict import (
     Masks,
     predict_readings,
 )
-from spiral.engine.series import steps_per_sample
+from spiral.engine.series import sample_inputs, steps_per_sample
 from spiral.engine.statistics import Whiteness, whiteness
 from spiral.inference.evidence.assembly import Assembly, with_steps
 from spiral.inference.evidence.fit_state import FitState
@@ -153,7 +153,7 @@ def required_substeps(fit: LikelihoodFit) -> int:
     for task, settings in fit.estimate.prepared:
         run = predict_readings(task, settings, fit.estimate.noise, keep=True)
         states = run.means[: run.done, : len(task.states)]
-        inputs = task.inputs[:: 2 * task.series.substeps]
+        inputs = sample_inputs(task.inputs, task.series.substeps)
         for k in covering_samples(states):
             matrix = state_jacobian(task.compiled, task.values, inputs[k], states[k])
             rates, exact_to = np.linalg.eigvals(matrix), task.model.system.exact_to
@@ -292,7 +292,7 @@ def has_still_state(fit: LikelihoodFit, label: str) -> bool:
     for task, settings in fit.estimate.prepared if still else ():
         run = predict_readings(task, settings, fit.estimate.noise, keep=True)
         means = run.means[: run.done, : len(task.states)]
-        inputs = task.inputs[:: 2 * task.series.substeps]
+        inputs = sample_inputs(task.inputs, task.series.substeps)
         shown = dict(zip(task.compiled.traced.inputs, inputs.T, strict=True))
         shown |= dict(zip(task.compiled.traced.channels, task.series.y.T, strict=True))
         shown |= dict(zip(task.states, means.T, strict=True))

@@ -19,6 +19,7 @@ import numpy as np
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.predict import Prediction
+from spiral.engine.series import sample_inputs
 from spiral.inference.likelihood.fitting import LikelihoodFit
 from spiral.types.invalid import bridged
 from spiral.types.placement import TIME
@@ -60,7 +61,7 @@ def _regression_rows(task: FilterInput, part: Prediction) -> tuple[Array, Array,
     """(samples, ...) misses, their past and what moves, from the sample that has all of it on."""
     first, last = max(_PAST, *_LAGS), len(part.misses)
     names = task.compiled.traced.inputs
-    inputs = task.inputs[:: 2 * task.series.substeps][:last]
+    inputs = sample_inputs(task.inputs, task.series.substeps)[:last]
     inputs = inputs[:, [i for i, n in enumerate(names) if n != TIME]]
     gone = part.spreads == 0
     read = [bridged(y, g) for y, g in zip((task.series.y - part.misses).T, gone.T, strict=True)]

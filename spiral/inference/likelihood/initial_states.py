@@ -228,4 +228,4 @@ def _head_series(series: Series) -> Series:
 
 def _head_inputs(task: FilterInput) -> Array:
     samples = min(task.series.samples, _HEAD)
-    return np.ascontiguousarray(task.inputs[: (samples - 1) * 2 * task.series.substeps + 1])
+    return np.ascontiguousarray(task.inputs[: (samples - 1) * 3 * task.series.substeps + 1])

@@ -24,6 +24,7 @@ from spiral.engine.likelihood.own_states import arrange_own_states, own_states_a
 from spiral.engine.likelihood.predict import Masks, Prediction, predict_readings
 from spiral.engine.score import build_score_table, residual_block_samples
 from spiral.engine.sensitivities import Reduction
+from spiral.engine.series import sample_inputs
 from spiral.inference.evidence.assembly import Assembly, Variant, columns_with_bounds
 from spiral.inference.evidence.enlarge import make_variant
 from spiral.inference.evidence.scoring import (
@@ -275,22 +276,31 @@ def predicted_motion(
 
     system = assembly.problem.model.system
     n, count = len(system.states), len(task.states)
-    inputs = np.ascontiguousarray(task.inputs[:: 2 * task.series.substeps])
+    substeps = task.series.substeps
+    inputs = sample_inputs(task.inputs, substeps)
+    given = np.ascontiguousarray(task.inputs[:: 3 * substeps])
     rows = np.ascontiguousarray(part.expected[:, :count])
 
-    def evaluate_model(u: Array, p: Array) -> tuple[Array, Array]:
+    def evaluate_model(u: Array | float, p: Array) -> tuple[Array, Array]:
         rates, readings = np.empty((len(rows), count)), np.empty_like(task.series.y)
         evaluate_along(
-            task.compiled.rate_value, task.compiled.output_value, rows, u, p, rates, readings
+            task.compiled.rate_value,
+            task.compiled.output_value,
+            rows,
+            inputs + u,
+            given + u,
+            p,
+            rates,
+            readings,
         )
         return rates[:, :n], readings
 
     def slopes(u: Array | float, p: Array | float, step: float) -> tuple[Array, Array]:
-        ends = (evaluate_model(inputs + s * u, task.values + s * p) for s in (1.0, -1.0))
+        ends = (evaluate_model(s * u, task.values + s * p) for s in (1.0, -1.0))
         more, told = ((a - b) / (2 * step) for a, b in zip(*ends, strict=True))
         return more, told
 
-    rates, readings = evaluate_model(inputs, task.values)
+    rates, readings = evaluate_model(0.0, task.values)
     by_input = {}
     for port in system.driven:
         place = input_columns(system).index(port.axes[0])

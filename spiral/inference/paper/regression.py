@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spiral.engine.series import sample_inputs
 from spiral.engine.start import Balance, angle_groups, prepare_balance
 from spiral.engine.study import ORIGIN
 from spiral.inference.evidence.assembly import Assembly
@@ -68,7 +69,7 @@ def differentiate_records(assembly: Assembly, derivative: Derivative) -> Samples
             ]
             acceleration[:, traced.states.index(name)] = derivatives.acceleration[:, channel]
         count = len(states[inner])
-        inputs = series.inputs[:: 2 * series.substeps][inner]
+        inputs = sample_inputs(series.inputs, series.substeps)[inner]
         for part, values in zip(
             parts,
             (states[inner], inputs, acceleration[inner], np.full(count, number),

@@ -62,7 +62,7 @@ _LENGTH = 1024
 class Calibration:
     """A fitted model, for each record with its own values; ``horizon`` the longest window reached.
 
-    ``grids`` are inputs on the half-step grid with their substeps, as the fit corrected them.
+    ``grids`` are inputs as of ``stage_inputs`` with their substeps, as the fit corrected them.
     ``untold`` are parameters whose standard error is over half their value: these records do not
     determine them. ``fitted`` is the last fit, with the covariance of its ``columns``.
     """

@@ -195,8 +195,8 @@ def estimate(
     Parameters
     ----------
     models : one for each record (they differ in the values that belong to a record).
-    grids : for each record, inputs on the half-step grid and its substeps where a fit has corrected
-        them.
+    grids : for each record, inputs as of ``stage_inputs`` and their substeps, where a fit has
+        corrected them.
     uncertain : what is declared of parameters (``spiral.inference.reconstruction.uncertain``).
     known : for each record, what a fit knows of them.
 

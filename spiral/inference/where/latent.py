@@ -96,7 +96,7 @@ def missing_force(
     Parameters
     ----------
     model : a value for every parameter, the record's own included.
-    inputs, substeps : the record's inputs on the half-step grid, where a fit has corrected them.
+    inputs, substeps : as of ``stage_inputs``, where a fit has corrected them.
     first : sample to begin at in a record longer than ``MOST`` samples; all of a shorter one.
 
     Returns nothing for a system without forces, and where the filter runs away.
@@ -108,7 +108,7 @@ def missing_force(
     if (start, stop) != (0, record.samples):
         record = replace(record.part(start, stop, record.name), noise=record.sigma())
         if inputs is not None and substeps is not None:
-            inputs = inputs[2 * substeps * start : 2 * substeps * (stop - 1) + 1]
+            inputs = inputs[3 * substeps * start : 3 * substeps * (stop - 1) + 1]
     wide = model if LatentForce().label in model.labels else add_latent_force(model)
     whole = prepare_task(wide, record, inputs=inputs, substeps=substeps, every=True)
     task, settings = prepare_filter(whole, ())

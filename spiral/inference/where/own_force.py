@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.series import sample_inputs
 from spiral.inference.where.latent import MissingForce, latent_keys
 from spiral.physics.compile import CompiledModel, compile_model
 from spiral.physics.trace import TracedModel, trace
@@ -47,8 +48,7 @@ def effect_own_force(missing: MissingForce, after: Model, label: str) -> OwnForc
         return None
     rows = np.arange(0, len(missing.force), max(1, -(-len(missing.force) // _MOST)))
     x = np.ascontiguousarray(missing.states[rows])
-    grid, step = missing.task.inputs, 2 * missing.task.series.substeps
-    u = np.ascontiguousarray(grid[rows * step])
+    u = sample_inputs(missing.task.inputs, missing.task.series.substeps)[rows]
     own = np.ascontiguousarray(x[:, [known.index(n) for n in traced.states]])
     compiled = compile_model(traced)
     with_it = _rates_along(compiled, own, u, _values_in_order(traced, after))
@@ -91,7 +91,7 @@ def _rates_along(compiled: CompiledModel, x: Array, u: Array, p: Array) -> Array
     from spiral.engine.likelihood.signatures_kernel import evaluate_along
 
     rates, readings = np.empty_like(x), np.empty((len(x), len(compiled.traced.channels)))
-    evaluate_along(compiled.rate_value, compiled.output_value, x, u, p, rates, readings)
+    evaluate_along(compiled.rate_value, compiled.output_value, x, u, u, p, rates, readings)
     return rates
 
 

@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from spiral.engine.series import sample_inputs
 from spiral.engine.study import ORIGIN
 from spiral.inference.where.latent import LatentForce, MissingForce
 from spiral.types.record import Array
@@ -88,7 +89,7 @@ def _model_force_columns(missing: MissingForce, active: tuple[str, ...], at: Arr
     task = missing.task
     latent = [i for i, k in enumerate(task.keys) if k.startswith(f"{LatentForce().label}.")]
     wanted = [task.keys.index(k) for k in {*active, ORIGIN} if k in task.keys]
-    inputs = task.inputs[:: 2 * task.series.substeps]
+    inputs = sample_inputs(task.inputs, task.series.substeps)
     slopes = task.compiled.rate.parameter_slopes(
         missing.states[at], inputs[at], task.values, [*latent, *wanted]
     )
@@ -115,7 +116,7 @@ def _shape_columns(missing: MissingForce, number: int, at: Array) -> Iterator[tu
             yield ("other velocity", rates[other], 1, False), v[other][:, None]
     columns = task.compiled.traced.inputs
     if "phase" in columns:
-        phase = task.inputs[:: 2 * task.series.substeps][at, columns.index("phase")]
+        phase = sample_inputs(task.inputs, task.series.substeps)[at, columns.index("phase")]
         for k in (1, 2, 3):
             yield (
                 ("angle", "phase", k, False),
