@@ -79,7 +79,7 @@ def prepare_filter(
         process=np.zeros((len(task.states), len(task.states))),
         noise=task.series.sigma**2,
         start=task.start,
-        covariance=np.diag((spread * task.spread) ** 2),
+        covariance=np.diag((spread * task.first_spread) ** 2),
         tracked=tracked,
         doubt=_initial_deviations(task, tracked, doubt or {}),
         wander=_drift_variances(task, tracked),
@@ -177,9 +177,13 @@ def smoothed_states(
 
 
 def _log_volume_share(task: FilterInput) -> float:
-    """1/2 log(|P'| / |P|), P' the initial covariance where narrower than the machine's own P."""
-    narrow = task.spread < task.scales
-    return float(np.log(task.spread[narrow] / task.scales[narrow]).sum())
+    """1/2 log(|P'| / |P|), P' the initial covariance where narrower than the machine's own P.
+
+    A state that is known by itself, as where nothing tells where a machine is, counts in neither.
+    """
+    own = task.first_spread
+    narrow = (own > 0) & (own < task.scales)
+    return float(np.log(own[narrow] / task.scales[narrow]).sum())
 
 
 def _initial_deviations(

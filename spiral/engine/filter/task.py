@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from spiral.engine.filter.prior import Prior
+from spiral.engine.filter.shifts import common_shifts
 from spiral.engine.filter.static import StaticMap, static_map
 from spiral.engine.kernel import trajectories
 from spiral.engine.series import Series, prepare_series
@@ -41,7 +42,8 @@ class FilterInput:
     and standard deviation before the first sample; ``centre`` and ``scales`` (n,) mean and standard
     deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
     where there is one; ``moved`` are parameters that slopes will be asked by, for which one flow is
-    compiled; ``prior`` is what is known of uncertain parameters.
+    compiled; ``prior`` is what is known of uncertain parameters; ``tied`` (n,) are the largest
+    first deviations of states that only move together with others (``filter.shifts``).
     """
 
     model: Model
@@ -57,11 +59,17 @@ class FilterInput:
     static: StaticMap | None
     moved: tuple[str, ...] = ()
     prior: Prior | None = None
+    tied: Array | None = None
 
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states."""
         return self.compiled.traced.states
+
+    @property
+    def first_spread(self) -> Array:
+        """(n,) standard deviation before the first sample; of a tied state at most its tie."""
+        return self.spread if self.tied is None else np.minimum(self.spread, self.tied)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -168,16 +176,21 @@ def build_task(
         series = prepare_series(model.system, record, substeps)
     mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
-    names = compiled.traced.states
+    names, tied = compiled.traced.states, None
     if like is not None and set(names) <= set(like.states):  # no free run for what is not asked
         centre, scales, rates = (np.zeros(len(names)) for _ in range(3))
+        tied = _adopt_ties(compiled, values, grid, like)
     else:
-        centre, scales, rates = _settled_scales(compiled, series, grid, values, mapping)
+        states = _settled_states(compiled, series, grid, values, mapping)
+        centre, scales, rates = _settled_scales(states, series.dt)
+        shifts = common_shifts(compiled, values, grid.mean(axis=0), scales)
+        tied = shifts.tied_deviations(states) if shifts.anchors else None
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
     begin = _finite_state(compiled, values, begin, grid[0]) if start is None else begin
     task = FilterInput(
-        model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping
-    )
+        model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping,
+        tied=tied,
+    )  # fmt: skip
     return task if like is None else _adopt_scales(task, like)
 
 
@@ -285,24 +298,39 @@ def state_jacobian(
     return a if np.all(np.isfinite(a)) else np.zeros((n, n))
 
 
-def _settled_scales(
-    compiled: CompiledModel, series: Series, grid: Array, values: Array, mapping: StaticMap | None
-) -> tuple[Array, Array, Array]:
-    """Mean and standard deviation of states, and that of their rates.
+def _adopt_ties(
+    compiled: CompiledModel, values: Array, grid: Array, other: FilterInput
+) -> Array | None:
+    """Another task's ``tied``, where this model may be shifted in the same states."""
+    if other.tied is None:
+        return None
+    at = [other.states.index(n) for n in compiled.traced.states]
+    tied, scales = other.tied[at], other.scales[at]
+    shifts = common_shifts(compiled, values, grid.mean(axis=0), scales)
+    moved = np.any(shifts.directions != 0, axis=1)
+    return tied if moved.any() and np.array_equal(moved, np.isfinite(tied)) else None
 
-    They are those of the free run, or of the smoothed measurements.
-    """
+
+def _settled_states(
+    compiled: CompiledModel, series: Series, grid: Array, values: Array, mapping: StaticMap | None
+) -> Array:
+    """States (samples, n) of the free run, or of the smoothed measurements."""
     states = run_from_rest(compiled, series, grid, values)
     shown = compiled.traced.shown
     seen = [compiled.traced.states.index(c) for c in shown]
     measured = series.y.std(axis=0)[list(shown.values())]
     if states is None or np.any(states.std(axis=0)[seen] < _QUIET * measured):
         states = _guess_states(compiled, series, mapping)
-    rates = np.gradient(states, series.dt, axis=0).std(axis=0)
+    return states
+
+
+def _settled_scales(states: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Mean and standard deviation of states, and that of their rates."""
+    rates = np.gradient(states, dt, axis=0).std(axis=0)
     scales = states.std(axis=0)
     typical = np.median(scales[scales > 0]) if np.any(scales > 0) else 1.0
     scales = np.where(scales > 0, scales, typical)
-    rates = np.where(rates > 0, rates, scales / (series.dt * series.samples))
+    rates = np.where(rates > 0, rates, scales / (dt * len(states)))
     mean = states.mean(axis=0)
     return np.where(mean == 0, _REST, mean), scales, rates
 

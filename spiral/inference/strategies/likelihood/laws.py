@@ -105,7 +105,8 @@ def find_named_law(
     if (white and not (several or aided or moved)) or not options.laws:
         return None
     laws = laws_of(assembly.problem.model.system)
-    for start in _law_starts(assembly, state, base, gone, white, masks[0], progress):
+    whole = moved or not white or not gone
+    for start in _law_starts(assembly, state, base, gone, whole, masks[0], progress):
         progress("trying laws with a closed form")
         changes = _promising_changes(assembly, start.base, masks[0])
         offered = offer_effects(assembly, (*laws, *changes))
@@ -163,8 +164,9 @@ def _has_coupling_force(assembly: Assembly, labels: tuple[str, ...]) -> bool:
 
 def _law_starts(
     assembly: Assembly, state: FitState, base: LikelihoodFit, gone: tuple[str, ...],
-    white: bool, select: Masks, progress: Progress,
+    whole: bool, select: Masks, progress: Progress,
 ) -> Iterator[_LawStart]:  # fmt: skip
+    """The model without the effects that a law may replace, and, if asked, the ``whole`` of it."""
     if gone:
         before = fit_by_likelihood(
             assembly, replace(drop_effects(assembly, base.state, gone), noise=None), rough=True
@@ -173,7 +175,7 @@ def _law_starts(
         if before.estimate.finite:
             before = fit_by_likelihood(assembly, before.state, masks=select, steps=WARM, rough=True)
             yield _LawStart(before, gone, _full_log_likelihood(assembly, state), state)
-    if not white or not gone:
+    if whole:
         yield _LawStart(base)
 
 
