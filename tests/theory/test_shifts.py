@@ -48,7 +48,8 @@ def test_a_train_whose_place_is_not_measured_may_be_anywhere():
     system = train(BLIND)
     shifts = shifts_of(system)
     at = [[s.name for s in system.states].index(n) for n in "abe"]
-    assert len(shifts.anchors) == 1 and shifts.anchors[0] in at
+    assert len(shifts.anchors) == 1
+    assert shifts.anchors[0] in at
     wanted = np.zeros((6, 1))
     wanted[at] = 1.0
     np.testing.assert_allclose(shifts.directions, wanted, atol=1e-12)
@@ -88,7 +89,7 @@ def test_ties_are_the_motion_relative_to_the_anchor():
 
 
 def test_a_filter_stays_with_a_train_that_drives_for_kilometres():
-    """Also beside a drift of the force's sensor and with no random force, where P is nearly flat."""
+    """Also beside a drift of the force's sensor and with no random force."""
     system = train(BLIND)
     time = 0.1 * np.arange(4000)
     rng = np.random.default_rng(3)

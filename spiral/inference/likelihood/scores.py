@@ -272,28 +272,12 @@ def predicted_motion(
     It is that before each sample's readings: the updated one contains their noise, which scores
     would attribute to sensor effects.
     """
-    from spiral.engine.likelihood.signatures_kernel import evaluate_along
-
     system = assembly.problem.model.system
-    n, count = len(system.states), len(task.states)
-    substeps = task.series.substeps
-    inputs = sample_inputs(task.inputs, substeps)
-    given = np.ascontiguousarray(task.inputs[:: 3 * substeps])
-    rows = np.ascontiguousarray(part.expected[:, :count])
+    n, inputs = len(system.states), sample_inputs(task.inputs, task.series.substeps)
+    rows = np.ascontiguousarray(part.expected[:, : len(task.states)])
 
     def evaluate_model(u: Array | float, p: Array) -> tuple[Array, Array]:
-        rates, readings = np.empty((len(rows), count)), np.empty_like(task.series.y)
-        evaluate_along(
-            task.compiled.rate_value,
-            task.compiled.output_value,
-            rows,
-            inputs + u,
-            given + u,
-            p,
-            rates,
-            readings,
-        )
-        return rates[:, :n], readings
+        return _evaluate_along(task, rows, u, p)
 
     def slopes(u: Array | float, p: Array | float, step: float) -> tuple[Array, Array]:
         ends = (evaluate_model(s * u, task.values + s * p) for s in (1.0, -1.0))
@@ -317,6 +301,22 @@ def predicted_motion(
     return SystemMotion(
         system, rows[:, :n], inputs, rates, readings, values, by_input, by_parameter, moved
     )
+
+
+def _evaluate_along(
+    task: FilterInput, rows: Array, more: Array | float, values: Array
+) -> tuple[Array, Array]:
+    """Rates and readings at states (samples, n), with ``more`` added to the inputs."""
+    from spiral.engine.likelihood.signatures_kernel import evaluate_along
+
+    substeps = task.series.substeps
+    acting, read = sample_inputs(task.inputs, substeps), task.inputs[:: 3 * substeps]
+    rates, readings = np.empty_like(rows), np.empty_like(task.series.y)
+    evaluate_along(
+        task.compiled.rate_value, task.compiled.output_value, rows, acting + more, read + more,
+        values, rates, readings,
+    )  # fmt: skip
+    return rates, readings
 
 
 def _varied_keys(assembly: Assembly) -> set[str]:
