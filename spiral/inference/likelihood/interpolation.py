@@ -13,6 +13,7 @@ from typing import get_args
 
 import numpy as np
 
+from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.predict import Masks, predict_cases
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState
@@ -115,15 +116,14 @@ def _refit_interpolations(
     assembly: Assembly, fit: LikelihoodFit, groups: Sequence[tuple[Input, ...]], masks: Masks,
     least: float, progress: Progress,
 ) -> list[LikelihoodFit]:  # fmt: skip
-    """Fits with each other interpolation of these groups of inputs that changes the predictions.
+    """Fits with each other interpolation of these groups of inputs that may be likelier.
 
-    One is fitted where the squared changes of the whitened innovations sum to more than ``_SHOWN``;
     ``least`` is the log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
     for some, ways in _other_interpolations(fit, groups) if fit.estimate.finite else ():
         state = replace(fit.state, between=ways)
-        if _is_prediction_changed(assembly, fit, state):
+        if _may_be_likelier(assembly, fit, state, masks):
             progress(_progress_message(some))
             fits.append(fit_by_likelihood(assembly, state, masks=masks, rough=True, least=least))
     return fits
@@ -166,11 +166,25 @@ def _replace_interpolation(fit: LikelihoodFit, some: tuple[Input, ...], way: Int
     return others
 
 
-def _is_prediction_changed(assembly: Assembly, fit: LikelihoodFit, other: FitState) -> bool:
-    """Whether another state with the same values and noise changes the predictions noticeably."""
+def _may_be_likelier(assembly: Assembly, fit: LikelihoodFit, other: FitState, masks: Masks) -> bool:
+    """Whether another state with the same values and noise misses less, parameters refitted.
+
+    To first order: the squares of whitened misses that the slopes by the parameters do not explain
+    are fewer, and the squared changes sum to more than ``_SHOWN``. Also where its filter runs away.
+    """
     at = fit.estimate
     trial = predict_cases([(prepare_filter_tasks(assembly, other), at.noise)])[0]
     if not all(p.whole for p in trial):
         return True
-    changes = ((t.misses - p.misses) * p.weight for p, t in zip(at.predictions, trial, strict=True))
-    return sum(float(np.sum(c**2)) for c in changes) > _SHOWN
+    parts = zip(at.predictions, trial, masks or [None] * len(trial), strict=True)
+    rows = [
+        np.stack([p.whitened, t.misses * p.weight, *np.moveaxis(p.columns, -1, 0)], axis=-1)[
+            slice(None) if mask is None else mask
+        ]
+        for p, t, mask in parts
+    ]
+    own, others, *slopes = np.concatenate([r.reshape(-1, r.shape[-1]) for r in rows]).T
+    if float(np.sum((others - own) ** 2)) <= _SHOWN:
+        return False
+    x = np.array([c for c in slopes if np.isfinite(c).all()]).reshape(-1, len(own)).T
+    return least_squares(x, others).rss < least_squares(x, own).rss

@@ -277,7 +277,8 @@ def predicted_motion(
     rows = np.ascontiguousarray(part.expected[:, : len(task.states)])
 
     def evaluate_model(u: Array | float, p: Array) -> tuple[Array, Array]:
-        return _evaluate_along(task, rows, u, p)
+        rates, readings = _evaluate_along(task, rows, u, p)
+        return rates[:, :n], readings
 
     def slopes(u: Array | float, p: Array | float, step: float) -> tuple[Array, Array]:
         ends = (evaluate_model(s * u, task.values + s * p) for s in (1.0, -1.0))
