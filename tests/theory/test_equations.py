@@ -246,3 +246,13 @@ def test_a_state_that_is_never_zero_may_divide_and_stand_under_a_logarithm(readi
     record = make_record(system, "never zero", time, {channel: seen}, {"u": u})
     found = spiral.compare(record, system).model.estimates()["system"]["a"]
     assert abs(found.estimate - 0.05) < 3 * found.se
+
+
+def test_a_free_parameter_in_no_equation_is_refused():
+    """Not one that a reading alone holds."""
+    given = {"states": {"x": "m"}, "inputs": {"F": "N"}, "free": ["k", "mu"],
+             "parameters": {"m": "1 kg", "k": "2 N/m", "mu": "0.3"}}  # fmt: skip
+    rows = ["m*x'' + k*x = F"]
+    with pytest.raises(SpiralError, match="free: mu, which is in no equation"):
+        spiral.system(rows, observed=["x"], **given)
+    spiral.system(rows, observed=["x", "pull = mu*k*x"], **given)

@@ -58,6 +58,7 @@ from spiral.inference.likelihood.free_run_starts import (
 )
 from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.likelihood.initial_states import set_likely_initial_state
+from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
@@ -159,10 +160,13 @@ def _note_fields(
     ``free`` is the fit whose values are shown, in place of ``fit`` where it predicts far better.
     """
     said = (*(n for r in problem.records for n in r.remarks), *input_sentences(state.between))
+    given = problem.model.given_values
     return {
         "notes": said if free is fit else (*said, FREE_RUN_VALUES_NOTE),
         "contradictions": (
-            *reversed_sign_sentences(model, problem.model.given_values),
+            *time_scale_sentences(fit.estimate.prepared[0][0], given),
+            *reversed_sign_sentences(model, given),
+            *(far_value_sentences(free.estimate, given) if free is not fit else ()),
             *free_run_sentences(fit, free),
         ),
         "spoilt": problem.spoilt_sentences(),

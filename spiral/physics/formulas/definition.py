@@ -27,6 +27,8 @@ from spiral.types.units import short_form
 ENDINGS = (".yaml", ".yml", ".toml", ".json")
 LARGEST = 1_000_000  # bytes of a file
 
+_NAME = re.compile(r"[A-Za-z_]\w*")
+
 
 @dataclass(frozen=True)
 class SystemDefinition:
@@ -73,6 +75,23 @@ class SystemDefinition:
 
 _DERIVED = ("values", "readings")  # fields that follow from other sections
 SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name not in _DERIVED), "free")
+
+
+def check_free_parameters(definition: SystemDefinition) -> None:
+    """Raise ConfigError for a free parameter that is in no formula: no record tells its value."""
+    texts = [
+        *definition.equations,
+        *(text for _, text in definition.readings),
+        *(text for _, axes in definition.ports for text in axes),
+        *(text for row in definition.mass for text in row),
+    ]
+    used = {*_NAME.findall(" ".join(texts))}
+    for name in (p.name for p in definition.parameters if p.start is None):
+        if name not in used:
+            raise ConfigError(
+                f"free: {name}, which is in no equation", "a parameter that an equation holds",
+                f"{name} in an equation or a reading, or no {name} in free",
+            )  # fmt: skip
 
 
 @lru_cache(maxsize=64)
