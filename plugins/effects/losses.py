@@ -100,7 +100,7 @@ class AsymmetricLoss(StateFlow):
     ``linear_loss``.
     """
 
-    units = ("m/s", "rad/s", "Pa", "bar", "V", "A")
+    units = ("m/s", "rad/s", "Pa", "bar", "V", "A", "1")
     special = ("linear_loss",)
     differences = True
     parameters = (Parameter("rate", "force/position"),)
