@@ -351,7 +351,8 @@ class _Search:
         solved = solve_triangle(upper, count)
         limit = np.array([self.bounds.get(k, (-np.inf, np.inf)) for k in self.keys])
         upper, best = drop_bounded_columns(upper, solved, np.array(list(at.values.values())), limit)
-        norms = np.linalg.norm(upper[:, :-1], axis=0)
+        with np.errstate(over="ignore"):  # slopes of a model that runs away
+            norms = np.linalg.norm(upper[:, :-1], axis=0)
         before = float(np.sum(upper[:, -1] ** 2))
         promised, step = 0.0, None
         for _ in range(_TRIES):

@@ -175,9 +175,10 @@ def _most_likely_level(task: FilterInput, walking) -> float | None:
     if not np.isfinite(costs[best]):
         return None
     low, high = _LEVELS[max(best - 1, 0)], _LEVELS[min(best + 1, len(_LEVELS) - 1)]
-    minimum: Any = minimize_scalar(
-        cost, bounds=(low, high), method="bounded", options={"xatol": _TOLERANCE, "maxiter": 6}
-    )
+    with np.errstate(invalid="ignore"):  # a level at which the filter runs away costs infinity
+        minimum: Any = minimize_scalar(
+            cost, bounds=(low, high), method="bounded", options={"xatol": _TOLERANCE, "maxiter": 6}
+        )
     return float(minimum.x) if minimum.fun < costs[best] else _LEVELS[best]
 
 
