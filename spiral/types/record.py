@@ -15,6 +15,7 @@ from spiral.types.errors import InputError, did_you_mean
 from spiral.types.invalid import InvalidReadings, bridged, clipping, spoilt_readings
 from spiral.types.noise import estimate_noise
 from spiral.types.parameter import Input, Interpolation
+from spiral.types.probing import readings_with_rates
 
 if TYPE_CHECKING:
     from spiral.types.system import System
@@ -210,7 +211,7 @@ def _find_spoilt_readings(
     missing: Mapping[str, Array | None],
 ) -> dict[str, tuple[InvalidReadings, ...]]:  # fmt: skip
     """Invalid readings of each channel; readings that may jump are not searched for spikes."""
-    jumps = {r.name for r in system.readings}
+    jumps = readings_with_rates(system)
     return {
         k: spoilt_readings(v, known.values(), missing[k], k not in jumps) for k, v in given.items()
     }

@@ -16,6 +16,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
 from spiral.types.port import Port
+from spiral.types.probing import follows_input
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -162,8 +163,8 @@ class System(Plugin):
     def filled(self) -> tuple[Port, ...]:
         """Ports for flows: each state of first order that effects may flow into, as ``state NAME``.
 
-        After them what a state has more than an input of its unit, as ``state NAME-INPUT``, and
-        pairs of one unit, as ``states NAME-NAME``.
+        After them what a state has more than an input of its unit, as ``state NAME-INPUT`` (without
+        a unit: of an input that it follows), and pairs of one unit, as ``states NAME-NAME``.
         """
         forces = {c.name for c in self.coordinates} if has_coordinates(self) else set()
         units = {s.name: s.unit for s in self.states}
@@ -174,7 +175,7 @@ class System(Plugin):
             replace(_state_port(units, i), name=f"state {i.name}-{u.name}", against=u.name)
             for i in own
             for u in self.inputs
-            if u.unit and u.unit == units[i.name]
+            if u.unit == units[i.name] and (u.unit or follows_input(self, i.name, u.name))
         ]
         return (
             *(_state_port(units, i) for i in own),
