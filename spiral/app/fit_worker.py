@@ -15,7 +15,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app.caveats import indistinguishable_effects, turn_caveats
+from spiral.app.caveats import (
+    indistinguishable_effects,
+    tellable_noise_floor,
+    turn_caveats,
+)
 from spiral.app.drawing import FIRST, write_turn_figures
 from spiral.app.own_effect import example_formula
 from spiral.app.python_text import non_default_options
@@ -180,8 +184,9 @@ class FitWorker:
         assert self.registry is not None
         model = at.rounds[-1].comparison.model
         plan_data = rank_discriminating_tests(
-            self.problem, model, order["effects"], self.registry, self._tell_progress
-        )
+            self.problem, model, order["effects"], order["durations"], self.registry,
+            self._tell_progress,
+        )  # fmt: skip
         self.tell("plan", {"plan": plan_data})
 
     @one_blas_thread
@@ -295,7 +300,8 @@ class FitWorker:
         held = enlarge_for(self._assembly(), at.fit_state)
         write_whole(folder / KEYS, to_json(list(held.study.keys)))
         last = at.rounds[-1]
-        floor = last.comparison.noise_floor
+        problem = self._assembly().problem
+        floor = tellable_noise_floor(last.comparison.noise_floor, problem.test or problem.records)
         self.tell(
             "turn",
             {

@@ -14,6 +14,7 @@ from spiral.app.own_effect import normalize_effect_name
 from spiral.app.session import LiveStudy, Session
 from spiral.app.study import StudyState, trial_figure_file, turn_folder
 from spiral.types.errors import SpiralError
+from spiral.types.formatting import number
 from spiral.types.label import name_of
 
 _SHOWN = 5  # candidates before "show all"
@@ -212,11 +213,29 @@ class CandidateList:
         """The test to run next that tells effects apart; a button where none was asked for."""
         if scene.plan.get("effects") == list(effects):
             ui.html(panels.plan_table(scene.plan), sanitize=False).props('id="plan"')
+            if scene.plan["tried"]:
+                self._draw_longer_plan(scene, turn, effects)
             return
         wanted = functools.partial(self.session.plan, self.ident, effects, turn.serial)
         names = horizon_errors.join_words([panels.label_words(e) for e in effects])
         button = ui.button(f"Which test tells {names} apart?", on_click=lambda: self.ask(wanted))
         button.props("flat dense align=left").set_enabled(scene.busy is None)
+
+    def _draw_longer_plan(
+        self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]
+    ) -> None:
+        """A field for other lengths of the tests, where none of those tried suffices."""
+        tried = ", ".join(number(seconds) for seconds in scene.plan["tried"])
+        with ui.row().classes("items-center no-wrap gap-2").style("margin:6px 0"):
+            box = ui.input("Lengths to try, s", placeholder=tried).props("outlined dense")
+            box.style("flex:1 1 auto")
+
+            def plan_again() -> None:
+                self.session.plan(self.ident, effects, turn.serial, box.value or "")
+
+            box.on("keydown.enter", lambda: self.ask(plan_again))
+            again = ui.button("Plan again", on_click=lambda: self.ask(plan_again))
+            again.props("outline").set_enabled(scene.busy is None)
 
     def _draw_alias_comparison(
         self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]

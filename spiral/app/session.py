@@ -6,6 +6,7 @@ study here, and every change has a number by which a tab sees that it is behind.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Mapping
@@ -223,12 +224,22 @@ class Session:
                 base=serial,
             )
 
-    def plan(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
-        """Look for the test that would tell these apart; the study stays as it is."""
+    def plan(self, ident: str, effects: tuple[str, ...], serial: int, lengths: str = "") -> None:
+        """Look for the test that would tell these apart; the study stays as it is.
+
+        ``lengths`` is text such as ``20, 60``: how long the tests are, in s.
+
+        Raises
+        ------
+        ConfigError : no numbers above zero, or a study that has moved on.
+        """
+        durations = _seconds_from_text(lengths)
         with self._lock:
             scene = self._idle_scene(ident, serial)
             what = f"Planning a test for {' and '.join(map(label_words, effects))}"
-            self._start_order(scene, "plan", what, effects=list(effects), base=serial)
+            self._start_order(
+                scene, "plan", what, effects=list(effects), base=serial, durations=durations
+            )
 
     def move(self, ident: str, to: int, serial: int) -> None:
         """Look at another turn: undo, do again, another branch; every turn is kept."""
@@ -404,6 +415,18 @@ class Session:
                 self._store_scene(replace(scene, study=study, writing=left))
             elif kind != "progress":
                 self._store_scene(self._apply_event(order, kind, data, scene))
+
+
+def _seconds_from_text(text: str) -> list[float]:
+    """Lengths of tests in s, from text such as ``20, 60``; none from empty text."""
+    try:
+        lengths = [float(word) for word in text.replace(",", " ").split()]
+        if not all(0 < length < math.inf for length in lengths):
+            raise ValueError
+    except ValueError as error:
+        raise ConfigError(f"lengths of tests: {text[:60]!r}", "numbers above zero, in s",
+                          "20, 60") from error  # fmt: skip
+    return lengths
 
 
 def _trial_update(turn: StudyState | None, trial: Mapping[str, Any]) -> dict[str, Any]:
