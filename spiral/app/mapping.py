@@ -93,6 +93,9 @@ class MappingPage:
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
                 self._draw_advice(opened.setup)
+                if opened.setup.columns:
+                    said = setups.places_of_settings(opened.setup.trouble)
+                    ui.html(said, sanitize=False).classes("places")
             if not opened.setup.columns and is_text(Path(opened.setup.path)):
                 self._draw_text_layout(opened.setup)
 
@@ -299,6 +302,7 @@ class MappingPage:
                     sanitize=False)  # fmt: skip
         elif setup.seen:
             ui.html(panels.records_table(setup.seen), sanitize=False)
+            ui.html(panels.units_note(setups.units_taken(setup)), sanitize=False)
             said = f"{panels.test_split_note(setup.seen)} Are the ranges those of your machine?"
             ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",
                     sanitize=False)  # fmt: skip

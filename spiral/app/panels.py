@@ -175,6 +175,17 @@ def left_out_note(wrong: Sequence[Mapping[str, str]]) -> str:
     )
 
 
+def units_note(taken: Sequence[str]) -> str:
+    """A note on units that nobody gave (``record_setup.units_taken``); empty without any."""
+    if not taken:
+        return ""
+    said = f"No unit is given, so that the system's own is taken: {', '.join(taken)}."
+    return (
+        f'<div class="note" id="units-taken" style="margin-top:10px">{escape(said)} Another one '
+        "goes into the field beside its column.</div>"
+    )
+
+
 def candidate_title(row: Mapping[str, Any]) -> str:
     """A candidate's name and meaning."""
     return (
