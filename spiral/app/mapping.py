@@ -17,6 +17,7 @@ from spiral.app.data_setup import DataSetup, draw_plan_commands, foresight_messa
 from spiral.app.drop_zone import drop_script
 from spiral.app.file_preview import PICTURE, READING
 from spiral.app.file_setup import OpenFile
+from spiral.app.narrow import watch_width
 from spiral.app.reading_setup import draw_reading_setup
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.app.session import Session
@@ -62,6 +63,13 @@ class MappingPage:
         if self.drawn.get("stretches", ((), ())) != stretches:
             self.desk.show_stretches()
         self.drawn["stretches"] = stretches
+
+    def redraw(self, *names: str) -> None:
+        """Draw regions anew."""
+        for name in names:
+            self.drawn.pop(name, None)
+        self.version = -1
+        self.refresh()
 
     def _region_builders(
         self, opened: OpenFile
@@ -362,6 +370,7 @@ def file_page(session: Session, ident: str) -> None:
                 form.regions["columns"] = ui.element("section").classes("card")
                 form.regions["reading"] = ui.element("section").classes("card")
                 form.regions["model"] = ui.element("section").classes("card")
+    watch_width(lambda: form.redraw("columns", "reading"))
     form.refresh()
     ui.timer(_TICK, form.refresh)
 
