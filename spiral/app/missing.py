@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -63,6 +63,9 @@ class CandidateList:
         ui.html("<h2 class='head'>What is missing</h2>", sanitize=False)
         if turn is None or turn.candidates is None:
             waiting = scene.busy is not None
+            if waiting and scene.scored:
+                self._draw_preliminary(scene.scored)
+                return
             said = "Ranking the effects that may be missing …" if waiting else "Not ranked yet."
             ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
             if turn is not None and not waiting:
@@ -79,6 +82,15 @@ class CandidateList:
             self._draw_plan(scene, turn, tuple(alike))
         self._draw_candidates(scene, turn)
         self._draw_own_effect(scene, turn)
+
+    def _draw_preliminary(self, scored: Sequence[Mapping[str, Any]]) -> None:
+        """The best candidates as scored before any is refitted, which none can be added from."""
+        ui.html(f"<div class='note' id='preliminary'>{panels.PRELIMINARY}</div>", sanitize=False)
+        for candidate in scored[:_SHOWN]:
+            with ui.element("div").classes("effect"):
+                ui.html(panels.candidate_title(candidate), sanitize=False)
+                shares = panels.candidate_evidence(candidate)
+                ui.html(shares, sanitize=False).classes("evidence")
 
     def _draw_ending(self, scene: LiveStudy, turn: StudyState) -> None:
         """The message where no candidate is confirmed."""

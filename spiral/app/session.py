@@ -37,11 +37,15 @@ _EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRS
 
 @dataclass(frozen=True)
 class Activity:
-    """Work in progress: what, since when, and how many of the expected messages have come."""
+    """Work in progress: what, since when, and how many of the expected messages have come.
+
+    ``lasted`` : seconds that the last order of the same kind took in this study; 0 for the first.
+    """
 
     what: str
     serial: int
     words: str = ""
+    lasted: float = 0.0
     began: float = field(default_factory=time.monotonic)
     said: int = 0
     expected: int = _FIRST
@@ -57,7 +61,8 @@ class LiveStudy:
     """A study with what is under way; ``version`` grows with every change.
 
     ``contrast`` are candidates side by side, their chi2 on windows of ``windows`` samples; ``plan``
-    the tests that would tell effects apart.
+    the tests that would tell effects apart; ``scored`` candidates of a turn whose ranking is under
+    way, as scored before any is refitted.
     """
 
     study: Study
@@ -67,6 +72,7 @@ class LiveStudy:
     contrast: tuple[Mapping[str, Any], ...] = ()
     windows: int = 0
     plan: Mapping[str, Any] = field(default_factory=dict)
+    scored: tuple[Mapping[str, Any], ...] = ()
 
 
 class Session:
@@ -77,6 +83,7 @@ class Session:
         self._lock = threading.RLock()
         self._scenes: dict[str, LiveStudy] = {}
         self._expected = dict(_EXPECTED)
+        self._lasted: dict[tuple[str, str], float] = {}  # s, by study and kind of order
         self._fits = Process("fits", out, self._on_fit_event)
         self._writer = Process("writer", out, self._on_writer_event)
         self.file_setup = FileSetup(
@@ -287,7 +294,8 @@ class Session:
     def _start_order(self, scene: LiveStudy, do: str, what: str, **more: Any) -> None:
         serial = scene.study.serials
         study = replace(scene.study, serials=serial + 1, trouble=None)
-        busy = Activity(what, serial, self._waiting_message(), expected=self._expected[do])
+        lasted = self._lasted.get((study.ident, do), 0.0)
+        busy = Activity(what, serial, self._waiting_message(), lasted, expected=self._expected[do])
         self._store_scene(replace(scene, study=study, contrast=(), plan={}, busy=busy))
         self._fits.give({**self._study_order(study, do, serial), **more})
 
@@ -356,6 +364,10 @@ class Session:
             return replace(scene, contrast=tuple(data["rows"]), windows=data["horizon"])
         if kind == "plan":
             return replace(scene, plan=data["plan"])
+        if kind == "scored":
+            turn = study.turn_of(serial)
+            waits = turn is not None and turn.candidates is None
+            return replace(scene, scored=tuple(data["candidates"])) if waits else scene
         values = {k: v for k, v in data.items() if k in StudyState.__dataclass_fields__}
         if kind == "ranked":
             values |= {"preview": {}, "trials": {}}  # another ranking proposes anew
@@ -374,6 +386,7 @@ class Session:
         busy, study = scene.busy, scene.study
         if kind == "done" and busy:
             self._expected[order["do"]] = max(busy.said, 1)
+            self._lasted[study.ident, order["do"]] = time.monotonic() - busy.began
         if kind == "failed":
             study = replace(study, trouble={**data, "at": order["do"]})
         if kind == "cancelled":
@@ -382,7 +395,7 @@ class Session:
             )  # it may have landed, not yet ranked
             said = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
             study = replace(study, trouble={"given": said, "at": kind})
-        scene = self._store_scene(replace(scene, study=study, busy=None))
+        scene = self._store_scene(replace(scene, study=study, busy=None, scored=()))
         turn = study.turn
         if kind == "done" and turn and turn.proposed and not turn.preview and order["do"] in _RANKS:
             self._start_preview(scene, turn.proposed[0], turn.serial)
