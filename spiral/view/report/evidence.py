@@ -46,7 +46,7 @@ def result_rounds(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def error_falling(
-    result: Mapping[str, Any], least: int = 2, width: float = 700, height: float = 430
+    result: Mapping[str, Any], least: int = 2, width: float = 700, height: int = 430
 ) -> go.Figure | None:
     """Fit and test error by round, the noise floor below them, the effect admitted at each step.
 
