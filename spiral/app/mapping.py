@@ -150,7 +150,10 @@ class MappingPage:
         ui.html(f"<h2 class='head'>{escape(setup.name)}: {setup.rows} rows</h2>", sanitize=False)
         table = text.html_table(("column", "unit", "first rows", "range"), rows)
         ui.html(panels.restyle_table(table), sanitize=False)
-        ui.html(panels.left_out_note(setup.left_out), sanitize=False)
+        if setup.left_out:
+            ui.html(panels.left_out_note(setup.left_out), sanitize=False)
+            said = setups.places_of_settings({"try": setup.left_out[0].get("try", "")})
+            ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
         if setup.drawn:
             data = frame.load_figure(setups.setup_folder(self.session.out, self.ident) / PICTURE)
             if data is not None:

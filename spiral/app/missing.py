@@ -247,7 +247,7 @@ class CandidateList:
 
             box.on("keydown.enter", lambda: self.ask(plan_again))
             again = ui.button("Plan again", on_click=lambda: self.ask(plan_again))
-            again.props("outline").set_enabled(scene.busy is None)
+            again.props("outline").classes("one-line").set_enabled(scene.busy is None)
 
     def _draw_alias_comparison(
         self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]

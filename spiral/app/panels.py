@@ -190,7 +190,7 @@ def units_note(taken: Sequence[str]) -> str:
     """A note on units that nobody gave (``record_setup.units_taken``); empty without any."""
     if not taken:
         return ""
-    said = f"No unit is given, so that the system's own is taken: {', '.join(taken)}."
+    said = f"No unit is given; taken as the system has them: {', '.join(taken)}."
     return (
         f'<div class="note" id="units-taken" style="margin-top:10px">{escape(said)} Another one '
         "goes into the field beside its column.</div>"

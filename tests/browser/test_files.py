@@ -93,6 +93,7 @@ def test_a_column_with_a_text_among_its_numbers_is_told(tab, served, files, pict
     upload(tab, served, files / "overload.csv")
     said = tab.inner_text("#left-out")
     assert said.startswith("Left out:\ncolumn 'probe 1' of overload.csv, row 700 (line 703): text ")
+    assert "record.rows in Fitted rows" in tab.inner_text("main")  # where the page has it
     assert "probe 1" not in tab.inner_text("table.plain >> nth=0")
     assert faults(tab) == []
     picture(tab, "left-out")
