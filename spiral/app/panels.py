@@ -22,7 +22,7 @@ _NET = (
 _LONG = 2.0  # s, from which it is said how long a step took
 PRELIMINARY = (
     "<b>Preliminary:</b> by one-step predictions, nothing is refitted yet. The best are refitted "
-    "now: shares shrink, and the order may change. <i>Add</i> comes with the final list."
+    "now, which may change shares and order. <i>Add</i> comes with the final list."
 )
 _FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {

@@ -28,7 +28,7 @@ from spiral.types.label import name_of
 
 _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _OF_A_TURN = ("invent", "rank", "preview", "plan")  # orders that make no new one
-_FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
+_FIRST, _AGAIN = 32, 24  # messages of progress that a first fit and a later turn usually send
 _LONG = 2000  # letters of a name or a note
 _PLANNED = 40  # messages that planning usually sends, one for each test it judges
 _EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRST,

@@ -26,7 +26,7 @@ Progress = Callable[[str], None]
 class ScoreMessage(str):
     """A message of progress that carries all candidates as scored, before any is refitted.
 
-    Scores promise more than refits keep: ``suggestions`` and their order are preliminary.
+    ``suggestions`` and their order are preliminary: refits change what each explains.
     """
 
     suggestions: tuple[Suggestion, ...]
