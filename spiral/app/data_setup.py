@@ -1,7 +1,8 @@
 """The records of a setup: further files, stretches marked on the picture, how inputs were given.
 
 What is chosen here becomes ``record.path=[...]``, ``test.path=``, ``record.rows=``, ``test.rows=``,
-``record.hold=``, ``record.pulse=``, ``record.rotation=`` and ``record.probe_angles=``.
+``record.hold=``, ``record.pulse=``, ``record.rotation=``, ``record.probe_angles=`` and
+``record.slow_roll=``.
 """
 
 from __future__ import annotations
@@ -174,14 +175,16 @@ class DataSetup:
     # --- how inputs and a rotor's sensors are given ----------------------------------------------
 
     def draw_instruments(self) -> None:
-        """How inputs run between samples; of a rotor the pulse, its sense, and where probes sit."""
+        """How inputs run between samples; of a rotor the pulse, its sense, probes and slow roll."""
         setup = self.current_setup()
         system, choice = setup.system(), setup.choice
         if system is None:
             return
         rotor = any(i["name"] == "speed" for i in system["inputs"])
         chosen = [i["name"] for i in system["inputs"] if i["required"]]
-        known = bool(choice.hold or choice.pulse or choice.rotation or choice.angles)
+        known = bool(
+            choice.hold or choice.pulse or choice.rotation or choice.angles or choice.slow_roll
+        )
         with ui.expansion("Sensors and inputs", value=known).classes("w-full"), \
                 ui.element("div").classes("instruments"):  # fmt: skip
             ways = {"": "not known: found from the record", **BETWEEN}
@@ -194,7 +197,12 @@ class DataSetup:
                 turns = {"": "counterclockwise", "clockwise": "clockwise"}
                 self._draw_select("sense of rotation", turns, choice.rotation, "rotation")
                 for channel in system["channels"]:
-                    self._draw_angle_input(channel["name"])
+                    name = channel["name"]
+                    label = f"probe {name}, degrees from the first axis"
+                    self._draw_text_input(label, "angles", name)
+                for end in setups.ENDS:
+                    label = f"slow roll {end} speed, in the file's unit"
+                    self._draw_text_input(label, "slow_roll", end)
 
     def _draw_select(
         self, label: str, options: Mapping[str, str], value: str, what: str, key: str = ""
@@ -211,17 +219,16 @@ class DataSetup:
         box.props["aria-label"] = label
         box.props("outlined dense options-dense")
 
-    def _draw_angle_input(self, channel: str) -> None:
-        label = f"probe {channel}, degrees from the first axis"
+    def _draw_text_input(self, label: str, what: str, key: str) -> None:
+        """A field for one entry of a mapping of the choice."""
 
-        def choose_angle(event: Any) -> None:
-            now = self.current_setup().choice.angles
-            self.change(angles={**now, channel: event.value or ""})
+        def take_text(event: Any) -> None:
+            now = getattr(self.current_setup().choice, what)
+            self.change(**{what: {**now, key: event.value or ""}})
 
         ui.label(label)
-        box = ui.input(
-            value=self.current_setup().choice.angles.get(channel, ""), on_change=choose_angle
-        )
+        value = getattr(self.current_setup().choice, what).get(key, "")
+        box = ui.input(value=value, on_change=take_text)
         box.props["aria-label"] = label
         box.props("outlined dense debounce=700")
 

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from spiral.app.caveats import indistinguishable_effects, turn_caveats
+from spiral.app.caveats import (
+    indistinguishable_effects,
+    tellable_noise_floor,
+    turn_caveats,
+)
 from spiral.app.drawing import FIRST, write_turn_figures
 from spiral.app.own_effect import example_formula
 from spiral.app.python_text import non_default_options
@@ -31,7 +35,7 @@ from spiral.inference.discover import Checkpoint
 from spiral.inference.evidence.assembly import Assembly, initial_values
 from spiral.inference.evidence.comparison import chi2_on_windows
 from spiral.inference.evidence.enlarge import enlarge, enlarge_for
-from spiral.inference.problem import Problem
+from spiral.inference.problem import Problem, ScoreMessage
 from spiral.inference.rounds import (
     admit_step,
     choose_candidate,
@@ -49,11 +53,11 @@ from spiral.io.curves import FINAL, Curves, add_seed_curves, read_curves, write_
 from spiral.io.registry import Registry
 from spiral.io.writing import replace_nonfinite, to_json, write_whole
 from spiral.physics.passivity import implausible_signs
-from spiral.types.run import Round, Run
+from spiral.types.run import Round, Run, Suggestion
 
 Tell = Callable[[str, Mapping[str, Any]], None]
-"""Told what happened: a kind (``progress``, ``turn``, ``ranked``, ``preview``, ``contrast``,
-``plan``, ``figures``) and plain data."""
+"""Told what happened: a kind (``progress``, ``turn``, ``scored``, ``ranked``, ``preview``,
+``contrast``, ``plan``, ``figures``) and plain data."""
 
 Order = Mapping[str, Any]
 """What to do, in plain data: study, overrides, plugins, serial, and what the step needs."""
@@ -180,8 +184,9 @@ class FitWorker:
         assert self.registry is not None
         model = at.rounds[-1].comparison.model
         plan_data = rank_discriminating_tests(
-            self.problem, model, order["effects"], self.registry, self._tell_progress
-        )
+            self.problem, model, order["effects"], order["durations"], self.registry,
+            self._tell_progress,
+        )  # fmt: skip
         self.tell("plan", {"plan": plan_data})
 
     @one_blas_thread
@@ -295,7 +300,8 @@ class FitWorker:
         held = enlarge_for(self._assembly(), at.fit_state)
         write_whole(folder / KEYS, to_json(list(held.study.keys)))
         last = at.rounds[-1]
-        floor = last.comparison.noise_floor
+        problem = self._assembly().problem
+        floor = tellable_noise_floor(last.comparison.noise_floor, problem.test or problem.records)
         self.tell(
             "turn",
             {
@@ -341,7 +347,7 @@ class FitWorker:
         settings = self._assembly().problem.settings
         stopped = "max_rounds" if step.admitted else step.stopped
         run = conclude_study(at, stopped, settings)
-        ranked = _ranking_data(run, step, tuple(_candidate_rows(self._strategy(), step)))
+        ranked = _ranking_data(run, step, tuple(_candidate_rows(self._strategy().ranked(step))))
         told = {"caveats": turn_caveats(at, settings), "alike": indistinguishable_effects(at)}
         self.tell("ranked", {**ranked, **told})
 
@@ -353,7 +359,9 @@ class FitWorker:
         return self._begin_strategy().assembly
 
     def _tell_progress(self, words: str) -> None:
-        self.tell("progress", {"words": words})
+        self.tell("progress", {"words": str(words)})
+        if isinstance(words, ScoreMessage):
+            self.tell("scored", {"candidates": _candidate_rows(words.suggestions)})
 
 
 def _align_checkpoint(at: Checkpoint, folder: Path, assembly: Assembly) -> Checkpoint:
@@ -390,9 +398,9 @@ def _contrast_figures(fitted_round: Round) -> dict[str, Any]:
     return replace_nonfinite({k: v for k, v in fitted_round.as_dict().items() if k in kept})
 
 
-def _candidate_rows(strategy: Strategy, step: Step) -> list[dict[str, Any]]:
+def _candidate_rows(suggestions: Sequence[Suggestion]) -> list[dict[str, Any]]:
     rows = []
-    for suggestion in strategy.ranked(step):
+    for suggestion in suggestions:
         row = {**suggestion.as_dict(), "hint": list(suggestion.hint)}
         rows.append(replace_nonfinite(row))
     return rows

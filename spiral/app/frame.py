@@ -12,6 +12,7 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import panels
+from spiral.app.narrow import fit_narrow, is_narrow
 from spiral.app.session import LiveStudy, Session
 from spiral.app.study import Study
 from spiral.app.stylesheet import STYLE
@@ -56,7 +57,11 @@ def progress_bar() -> Iterator[None]:
 
 
 def responsive_figure(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Data, layout and options of a figure for Plotly in the browser, as wide as its container."""
+    """Data, layout and options of a figure for Plotly in the browser, as wide as its container.
+
+    In a narrow window pictures that stand side by side come to stand one below the other.
+    """
+    data = fit_narrow(data) if is_narrow() else data
     layout = {**data["layout"], "autosize": True, "uirevision": "kept",
               "paper_bgcolor": CLEAR, "plot_bgcolor": CLEAR,
               "modebar": {"bgcolor": CLEAR, "color": "#767f8a", "activecolor": BLUE}}  # fmt: skip
@@ -66,8 +71,9 @@ def responsive_figure(data: Mapping[str, Any]) -> dict[str, Any]:
 
 def draw_plot(data: Mapping[str, Any], name: str, said: str) -> ui.plotly:
     """Draw a figure as wide as its container; ``said`` describes it to screen readers."""
-    element = ui.plotly(responsive_figure(data))
-    element.style(f"width:100%;height:{float(data['layout']['height'])}px")
+    figure = responsive_figure(data)
+    element = ui.plotly(figure)
+    element.style(f"width:100%;height:{float(figure['layout']['height'])}px")
     element.props["id"] = f"plot-{name}"
     element.props["role"] = "figure"
     element.props["aria-label"] = said

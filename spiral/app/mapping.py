@@ -17,6 +17,7 @@ from spiral.app.data_setup import DataSetup, draw_plan_commands, foresight_messa
 from spiral.app.drop_zone import drop_script
 from spiral.app.file_preview import PICTURE, READING
 from spiral.app.file_setup import OpenFile
+from spiral.app.narrow import watch_width
 from spiral.app.reading_setup import draw_reading_setup
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.app.session import Session
@@ -63,6 +64,13 @@ class MappingPage:
             self.desk.show_stretches()
         self.drawn["stretches"] = stretches
 
+    def redraw(self, *names: str) -> None:
+        """Draw regions anew."""
+        for name in names:
+            self.drawn.pop(name, None)
+        self.version = -1
+        self.refresh()
+
     def _region_builders(
         self, opened: OpenFile
     ) -> list[tuple[str, Callable[[OpenFile], None], Any]]:
@@ -93,6 +101,9 @@ class MappingPage:
                 if not opened.setup.columns:
                     ui.link("Choose another file", "/").classes("quiet")
                 self._draw_advice(opened.setup)
+                if opened.setup.columns:
+                    said = setups.places_of_settings(opened.setup.trouble)
+                    ui.html(said, sanitize=False).classes("places")
             if not opened.setup.columns and is_text(Path(opened.setup.path)):
                 self._draw_text_layout(opened.setup)
 
@@ -139,7 +150,10 @@ class MappingPage:
         ui.html(f"<h2 class='head'>{escape(setup.name)}: {setup.rows} rows</h2>", sanitize=False)
         table = text.html_table(("column", "unit", "first rows", "range"), rows)
         ui.html(panels.restyle_table(table), sanitize=False)
-        ui.html(panels.left_out_note(setup.left_out), sanitize=False)
+        if setup.left_out:
+            ui.html(panels.left_out_note(setup.left_out), sanitize=False)
+            said = setups.places_of_settings({"try": setup.left_out[0].get("try", "")})
+            ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
         if setup.drawn:
             data = frame.load_figure(setups.setup_folder(self.session.out, self.ident) / PICTURE)
             if data is not None:
@@ -299,6 +313,7 @@ class MappingPage:
                     sanitize=False)  # fmt: skip
         elif setup.seen:
             ui.html(panels.records_table(setup.seen), sanitize=False)
+            ui.html(panels.units_note(setups.units_taken(setup)), sanitize=False)
             said = f"{panels.test_split_note(setup.seen)} Are the ranges those of your machine?"
             ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",
                     sanitize=False)  # fmt: skip
@@ -358,6 +373,7 @@ def file_page(session: Session, ident: str) -> None:
                 form.regions["columns"] = ui.element("section").classes("card")
                 form.regions["reading"] = ui.element("section").classes("card")
                 form.regions["model"] = ui.element("section").classes("card")
+    watch_width(lambda: form.redraw("columns", "reading"))
     form.refresh()
     ui.timer(_TICK, form.refresh)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +14,7 @@ from spiral.app.own_effect import normalize_effect_name
 from spiral.app.session import LiveStudy, Session
 from spiral.app.study import StudyState, trial_figure_file, turn_folder
 from spiral.types.errors import SpiralError
+from spiral.types.formatting import number
 from spiral.types.label import name_of
 
 _SHOWN = 5  # candidates before "show all"
@@ -62,6 +63,9 @@ class CandidateList:
         ui.html("<h2 class='head'>What is missing</h2>", sanitize=False)
         if turn is None or turn.candidates is None:
             waiting = scene.busy is not None
+            if waiting and scene.scored:
+                self._draw_preliminary(scene.scored)
+                return
             said = "Ranking the effects that may be missing …" if waiting else "Not ranked yet."
             ui.html(f"<p class='soft'>{said}</p>", sanitize=False)
             if turn is not None and not waiting:
@@ -78,6 +82,15 @@ class CandidateList:
             self._draw_plan(scene, turn, tuple(alike))
         self._draw_candidates(scene, turn)
         self._draw_own_effect(scene, turn)
+
+    def _draw_preliminary(self, scored: Sequence[Mapping[str, Any]]) -> None:
+        """The best candidates as scored before any is refitted, which none can be added from."""
+        ui.html(f"<div class='note' id='preliminary'>{panels.PRELIMINARY}</div>", sanitize=False)
+        for candidate in scored[:_SHOWN]:
+            with ui.element("div").classes("effect"):
+                ui.html(panels.candidate_title(candidate), sanitize=False)
+                shares = panels.candidate_evidence(candidate)
+                ui.html(shares, sanitize=False).classes("evidence")
 
     def _draw_ending(self, scene: LiveStudy, turn: StudyState) -> None:
         """The message where no candidate is confirmed."""
@@ -212,11 +225,29 @@ class CandidateList:
         """The test to run next that tells effects apart; a button where none was asked for."""
         if scene.plan.get("effects") == list(effects):
             ui.html(panels.plan_table(scene.plan), sanitize=False).props('id="plan"')
+            if scene.plan["tried"]:
+                self._draw_longer_plan(scene, turn, effects)
             return
         wanted = functools.partial(self.session.plan, self.ident, effects, turn.serial)
         names = horizon_errors.join_words([panels.label_words(e) for e in effects])
         button = ui.button(f"Which test tells {names} apart?", on_click=lambda: self.ask(wanted))
         button.props("flat dense align=left").set_enabled(scene.busy is None)
+
+    def _draw_longer_plan(
+        self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]
+    ) -> None:
+        """A field for other lengths of the tests, where none of those tried suffices."""
+        tried = ", ".join(number(seconds) for seconds in scene.plan["tried"])
+        with ui.row().classes("items-center no-wrap gap-2").style("margin:6px 0"):
+            box = ui.input("Lengths to try, s", placeholder=tried).props("outlined dense")
+            box.style("flex:1 1 auto")
+
+            def plan_again() -> None:
+                self.session.plan(self.ident, effects, turn.serial, box.value or "")
+
+            box.on("keydown.enter", lambda: self.ask(plan_again))
+            again = ui.button("Plan again", on_click=lambda: self.ask(plan_again))
+            again.props("outline").classes("one-line").set_enabled(scene.busy is None)
 
     def _draw_alias_comparison(
         self, scene: LiveStudy, turn: StudyState, effects: tuple[str, ...]

@@ -12,6 +12,7 @@ from spiral.app import branches, frame, horizon_errors, panels, python_text, stu
 from spiral.app.address import Address, format_address
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, CandidateList
+from spiral.app.narrow import is_narrow, watch_width
 from spiral.app.session import LiveStudy, Session
 from spiral.app.side_by_side import NAME, SideBySide
 from spiral.app.study import StudyState
@@ -19,6 +20,7 @@ from spiral.types.errors import SpiralError
 from spiral.view.report.evidence import error_falling
 
 FALL_HEIGHT = 500
+WIDE_FALL, NARROW_FALL = 700, 250  # pixels of its axes, in a wide and a narrow window
 _TICK = 0.15  # s between looks at the session
 TABS = (
     ("Measured and model", ("free_run",)),
@@ -114,9 +116,10 @@ class StudyView:
         """Names of the figures that this tab shows."""
         return (*dict(TABS).get(self.tab, ()), NAME)
 
-    def redraw(self, name: str) -> None:
-        """Draw a region anew at the next look."""
-        self.drawn.pop(name, None)
+    def redraw(self, *names: str) -> None:
+        """Draw regions anew at the next look."""
+        for name in names:
+            self.drawn.pop(name, None)
         self.version = -1
         self.refresh()
 
@@ -127,7 +130,7 @@ class StudyView:
         busy = scene.busy
         key = None if turn is None else turn.serial
         ranked = turn is not None and turn.candidates is not None
-        candidates = (key, ranked, bool(busy), scene.contrast, scene.plan)
+        candidates = (key, ranked, bool(busy), scene.contrast, scene.plan, scene.scored)
         if turn is None:
             trials, figures, links = None, None, study.title
         else:
@@ -162,7 +165,7 @@ class StudyView:
             return
         if self.progress is None:
             self.progress = self._begin_progress()
-        self.progress.words.set_text(f"{busy.what}: {busy.words}" if busy.words else busy.what)
+        self.progress.words.set_text(panels.progress_words(busy.what, busy.words, busy.lasted))
         self.progress.bar.set_value(busy.share)
 
     def _begin_progress(self) -> _Progress:
@@ -240,10 +243,14 @@ class StudyView:
         study = scene.study
         rounds = [{**t.result, "round": i} for i, t in enumerate(study.line)]
         result = {"rounds": rounds, "noise_floor": study.noise_floor}
-        figure = error_falling(result, least=1)
+        narrow = is_narrow()
+        width = NARROW_FALL if narrow else WIDE_FALL
+        figure = error_falling(result, least=1, width=width, height=FALL_HEIGHT)
         if figure is None:
             return
-        figure.update_layout(height=FALL_HEIGHT, margin={"l": 60, "r": 16, "t": 44, "b": 48})
+        figure.update_layout(margin={"l": 60, "r": 16, "t": 44, "b": 48})
+        if narrow:
+            figure.update_annotations(font_size=12)
         if self.fall is None:
             self.fall = frame.draw_plot(figure.to_plotly_json(), "error-falling", FALLING_SAID)
         else:
@@ -365,5 +372,6 @@ def study_page(session: Session, ident: str, at: Address) -> None:
             view.regions["figures"] = ui.element("section").classes("card")
         view.regions["beside"] = ui.element("section").classes("card")
         view.regions["data"] = ui.element("section").classes("card")
+    watch_width(lambda: view.redraw(FALLING, "missing", "figures", "beside"))
     view.refresh()
     ui.timer(_TICK, view.refresh)

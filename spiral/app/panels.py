@@ -19,6 +19,11 @@ _NET = (
     "Share of the residual that it explains on the windows that ranked all candidates, less the "
     "share of pure noise that as many free parameters explain; the list is in this order"
 )
+_LONG = 2.0  # s, from which it is said how long a step took
+PRELIMINARY = (
+    "<b>Preliminary:</b> by one-step predictions, nothing is refitted yet. The best are refitted "
+    "now, which may change shares and order. <i>Add</i> comes with the final list."
+)
 _FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {
     "whiteness": "Nothing more is missing: what is left is white noise.",
@@ -172,6 +177,23 @@ def left_out_note(wrong: Sequence[Mapping[str, str]]) -> str:
     items = "".join(f"<li>{error_message(one)}</li>" for one in wrong)
     return (
         f'<div class="note caveats" id="left-out">Left out:<ul>{items}</ul></div>' if items else ""
+    )
+
+
+def progress_words(what: str, words: str, lasted: float) -> str:
+    """What is under way, and the seconds that the last such step took, where that is long."""
+    said = f"{what}: {words}" if words else what
+    return f"{said} (the last such step took {lasted:.0f} s)" if lasted >= _LONG else said
+
+
+def units_note(taken: Sequence[str]) -> str:
+    """A note on units that nobody gave (``record_setup.units_taken``); empty without any."""
+    if not taken:
+        return ""
+    said = f"No unit is given; taken as the system has them: {', '.join(taken)}."
+    return (
+        f'<div class="note" id="units-taken" style="margin-top:10px">{escape(said)} Another one '
+        "goes into the field beside its column.</div>"
     )
 
 

@@ -17,15 +17,30 @@ from spiral.io.run_id import new_run_id
 from spiral.io.storage import read_text_inside
 from spiral.io.writing import to_json, write_whole
 from spiral.types.errors import ConfigError
+from spiral.types.formatting import join_words
 
 FILE = "setup.json"
 FIT, TEST = "fit", "test"
 AT_REST = "0"  # in the place of an input's column: held at zero
+ENDS = ("from", "to")  # of a range of speed
 _ID = re.compile(r"[0-9a-f-]{8,40}")
 _FIELDS = {"record.resample": "resample", "record.fill_gaps": "fill_gaps"}
 _ADVISED = re.compile(  # a key of the command line with a value, and no word that stands for one
     r"\b((?:record|system)\.\w+|holdout_blocks)=((?![A-Z_]+\b)(?:'[^']*'|[^\s',;]*[^\s',;.]))"
 )
+_SENSORS = "<i>Sensors and inputs</i>"
+_READING = "<i>Rate, gaps and offsets</i>"
+_PLACES = {
+    "units": "in the field beside each column", "rate": "beside <i>time</i>, as the sample rate",
+    "rows": "in <i>Fitted rows</i> below the picture of the columns",
+    "time": "in <i>What is what</i>", "channels": "in <i>What is what</i>",
+    "inputs": "in <i>What is what</i>", "resample": f"under {_READING}",
+    "fill_gaps": f"under {_READING}", "offset": f"under {_READING}", "hold": f"under {_SENSORS}",
+    "pulse": f"under {_SENSORS}", "rotation": f"under {_SENSORS}",
+    "probe_angles": f"under {_SENSORS}", "slow_roll": f"under {_SENSORS}",
+    "path": "among <i>Records of this machine</i>",
+}  # fmt: skip
+_MORE = "under <i>More</i>, one <code>KEY=VALUE</code> a line"
 _TIMES = ("time", "t", "seconds", "zeit", "clock")
 _NAMED = {"rpm": "rpm", "hz": "Hz", "um": "um", "µm": "um", "mm": "mm", "ms": "ms", "mv": "mV",
           "rad": "rad", "deg": "deg"}  # fmt: skip
@@ -43,7 +58,8 @@ class Choice:
     where empty; ``hold`` says by input how it runs between samples; ``pulse`` is the column of a
     once-per-turn pulse, ``rotation`` a shaft's sense, ``angles`` degrees of probes by channel.
     ``effects`` are labels of effects beside the seed's; ``resample`` is a rate in Hz, ``fill_gaps``
-    the longest gap that is bridged, in samples, ``offsets`` what instruments read at rest by name.
+    the longest gap that is bridged, in samples, ``offsets`` what instruments read at rest by name;
+    ``slow_roll`` is the range of speed (from, to) in which a shaft turns slowly.
     """
 
     system: str = ""
@@ -65,6 +81,7 @@ class Choice:
     resample: str = ""
     fill_gaps: str = ""
     offsets: Mapping[str, str] = field(default_factory=dict)
+    slow_roll: Mapping[str, str] = field(default_factory=dict)
 
     def measured(self, name: str) -> bool:
         """Whether a series comes from a column, and is not held at zero."""
@@ -297,6 +314,34 @@ def advised_lines(trouble: Mapping[str, str] | None) -> list[str]:
     return list(lines.values())
 
 
+def places_of_settings(trouble: Mapping[str, str] | None) -> str:
+    """Where the page has the settings that a message names, as HTML; empty if it names none."""
+    said = " ".join(str(v) for v in (trouble or {}).values())
+    keys = dict.fromkeys(re.findall(r"\brecord\.(\w+)", said))
+    places: dict[str, list[str]] = {}
+    for key in keys:
+        places.setdefault(_PLACES.get(key, _MORE), []).append(f"<code>record.{key}</code>")
+    named = [f"{join_words(names)} {place}" for place, names in places.items()]
+    return f"On this page: {'; '.join(named)}." if named else ""
+
+
+def units_taken(setup: RecordSetup) -> list[str]:
+    """Series whose unit neither the file nor a person gave, with the unit that is taken."""
+    system, choice = setup.system(), setup.choice
+    if system is None:
+        return []
+    named = {c["name"]: c["unit"] for c in setup.columns}
+    usual = {s["name"]: s["unit"] for s in (*system["channels"], *system["inputs"])}
+    usual = {name: unit for name, unit in usual.items() if choice.measured(name) and unit}
+    columns = {**choice.columns, "time": choice.time}
+    usual |= {"time": "s"} if choice.time else {}
+    return [
+        f"{name} in {unit}"
+        for name, unit in usual.items()
+        if not choice.units.get(name, "").strip() and not named.get(columns[name])
+    ]
+
+
 def with_setting(choice: Choice, line: str) -> Choice:
     """A choice with a setting as ``advised_lines`` gives it: in its field, else in *More*."""
     key, _, value = line.partition("=")
@@ -339,6 +384,9 @@ def _series_overrides(setup: RecordSetup) -> list[str]:
         for key, name in _FIELDS.items()
         if (value := getattr(choice, name).strip())
     ]
+    ends = [choice.slow_roll.get(end, "").strip() for end in ENDS]
+    if all(ends):
+        lines.append(f"record.slow_roll={{speed: [{', '.join(ends)}]}}")
     if choice.pulse:
         lines.append(f"record.pulse={quote_value(choice.pulse)}")
     if choice.rotation:

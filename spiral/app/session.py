@@ -6,6 +6,7 @@ study here, and every change has a number by which a tab sees that it is behind.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Mapping
@@ -27,7 +28,7 @@ from spiral.types.label import name_of
 
 _RANKS = ("start", "add", "rank", "invent")  # orders that end with a ranking
 _OF_A_TURN = ("invent", "rank", "preview", "plan")  # orders that make no new one
-_FIRST, _AGAIN = 16, 12  # messages of progress that a first fit and a later turn usually send
+_FIRST, _AGAIN = 32, 24  # messages of progress that a first fit and a later turn usually send
 _LONG = 2000  # letters of a name or a note
 _PLANNED = 40  # messages that planning usually sends, one for each test it judges
 _EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRST,
@@ -36,11 +37,15 @@ _EXPECTED = {"start": _FIRST, "add": _AGAIN, "contrast": _AGAIN, "invent": _FIRS
 
 @dataclass(frozen=True)
 class Activity:
-    """Work in progress: what, since when, and how many of the expected messages have come."""
+    """Work in progress: what, since when, and how many of the expected messages have come.
+
+    ``lasted`` : seconds that the last order of the same kind took in this study; 0 for the first.
+    """
 
     what: str
     serial: int
     words: str = ""
+    lasted: float = 0.0
     began: float = field(default_factory=time.monotonic)
     said: int = 0
     expected: int = _FIRST
@@ -56,7 +61,8 @@ class LiveStudy:
     """A study with what is under way; ``version`` grows with every change.
 
     ``contrast`` are candidates side by side, their chi2 on windows of ``windows`` samples; ``plan``
-    the tests that would tell effects apart.
+    the tests that would tell effects apart; ``scored`` candidates of a turn whose ranking is under
+    way, as scored before any is refitted.
     """
 
     study: Study
@@ -66,6 +72,7 @@ class LiveStudy:
     contrast: tuple[Mapping[str, Any], ...] = ()
     windows: int = 0
     plan: Mapping[str, Any] = field(default_factory=dict)
+    scored: tuple[Mapping[str, Any], ...] = ()
 
 
 class Session:
@@ -76,6 +83,7 @@ class Session:
         self._lock = threading.RLock()
         self._scenes: dict[str, LiveStudy] = {}
         self._expected = dict(_EXPECTED)
+        self._lasted: dict[tuple[str, str], float] = {}  # s, by study and kind of order
         self._fits = Process("fits", out, self._on_fit_event)
         self._writer = Process("writer", out, self._on_writer_event)
         self.file_setup = FileSetup(
@@ -223,12 +231,22 @@ class Session:
                 base=serial,
             )
 
-    def plan(self, ident: str, effects: tuple[str, ...], serial: int) -> None:
-        """Look for the test that would tell these apart; the study stays as it is."""
+    def plan(self, ident: str, effects: tuple[str, ...], serial: int, lengths: str = "") -> None:
+        """Look for the test that would tell these apart; the study stays as it is.
+
+        ``lengths`` is text such as ``20, 60``: how long the tests are, in s.
+
+        Raises
+        ------
+        ConfigError : no numbers above zero, or a study that has moved on.
+        """
+        durations = _seconds_from_text(lengths)
         with self._lock:
             scene = self._idle_scene(ident, serial)
             what = f"Planning a test for {' and '.join(map(label_words, effects))}"
-            self._start_order(scene, "plan", what, effects=list(effects), base=serial)
+            self._start_order(
+                scene, "plan", what, effects=list(effects), base=serial, durations=durations
+            )
 
     def move(self, ident: str, to: int, serial: int) -> None:
         """Look at another turn: undo, do again, another branch; every turn is kept."""
@@ -276,7 +294,8 @@ class Session:
     def _start_order(self, scene: LiveStudy, do: str, what: str, **more: Any) -> None:
         serial = scene.study.serials
         study = replace(scene.study, serials=serial + 1, trouble=None)
-        busy = Activity(what, serial, self._waiting_message(), expected=self._expected[do])
+        lasted = self._lasted.get((study.ident, do), 0.0)
+        busy = Activity(what, serial, self._waiting_message(), lasted, expected=self._expected[do])
         self._store_scene(replace(scene, study=study, contrast=(), plan={}, busy=busy))
         self._fits.give({**self._study_order(study, do, serial), **more})
 
@@ -345,6 +364,10 @@ class Session:
             return replace(scene, contrast=tuple(data["rows"]), windows=data["horizon"])
         if kind == "plan":
             return replace(scene, plan=data["plan"])
+        if kind == "scored":
+            turn = study.turn_of(serial)
+            waits = turn is not None and turn.candidates is None
+            return replace(scene, scored=tuple(data["candidates"])) if waits else scene
         values = {k: v for k, v in data.items() if k in StudyState.__dataclass_fields__}
         if kind == "ranked":
             values |= {"preview": {}, "trials": {}}  # another ranking proposes anew
@@ -363,6 +386,7 @@ class Session:
         busy, study = scene.busy, scene.study
         if kind == "done" and busy:
             self._expected[order["do"]] = max(busy.said, 1)
+            self._lasted[study.ident, order["do"]] = time.monotonic() - busy.began
         if kind == "failed":
             study = replace(study, trouble={**data, "at": order["do"]})
         if kind == "cancelled":
@@ -371,7 +395,7 @@ class Session:
             )  # it may have landed, not yet ranked
             said = f"Cancelled: {busy.what.lower()}" if busy else "Cancelled"
             study = replace(study, trouble={"given": said, "at": kind})
-        scene = self._store_scene(replace(scene, study=study, busy=None))
+        scene = self._store_scene(replace(scene, study=study, busy=None, scored=()))
         turn = study.turn
         if kind == "done" and turn and turn.proposed and not turn.preview and order["do"] in _RANKS:
             self._start_preview(scene, turn.proposed[0], turn.serial)
@@ -404,6 +428,18 @@ class Session:
                 self._store_scene(replace(scene, study=study, writing=left))
             elif kind != "progress":
                 self._store_scene(self._apply_event(order, kind, data, scene))
+
+
+def _seconds_from_text(text: str) -> list[float]:
+    """Lengths of tests in s, from text such as ``20, 60``; none from empty text."""
+    try:
+        lengths = [float(word) for word in text.replace(",", " ").split()]
+        if not all(0 < length < math.inf for length in lengths):
+            raise ValueError
+    except ValueError as error:
+        raise ConfigError(f"lengths of tests: {text[:60]!r}", "numbers above zero, in s",
+                          "20, 60") from error  # fmt: skip
+    return lengths
 
 
 def _trial_update(turn: StudyState | None, trial: Mapping[str, Any]) -> dict[str, Any]:

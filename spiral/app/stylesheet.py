@@ -90,6 +90,9 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 #plan {{ margin:4px 0 12px; }}
 #proposal {{ margin-bottom:10px; }} #proposal.soft {{ padding:0; }}
 .caveats {{ margin:8px 0 10px; font-size:14px; }}
+.places {{ margin-top:8px; font-size:14px; }}
+#absent {{ margin-top:12px; }} #preliminary {{ margin-bottom:4px; }}
+.one-line {{ white-space:nowrap; }}
 .caveats ul {{ margin:2px 0 0; padding-left:18px; }}
 .branches, .branches ul {{ list-style:none; margin:2px 0 0; padding:0; }}
 .branches ul {{ padding-left:14px; border-left:2px solid var(--line); margin-left:6px; }}

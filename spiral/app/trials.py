@@ -92,14 +92,19 @@ def _draw_effect_force(
 
 
 def rank_discriminating_tests(
-    problem: Problem, model: Model, effects: Sequence[str], registry: Registry, progress: Progress
-) -> Mapping[str, Any]:
-    """The tests that tell effects apart best, the record at hand first, in plain data."""
+    problem: Problem, model: Model, effects: Sequence[str], durations: Sequence[float],
+    registry: Registry, progress: Progress,
+) -> Mapping[str, Any]:  # fmt: skip
+    """The tests that tell effects apart best, the record at hand first, in plain data.
+
+    ``durations`` in s; without any they follow from the record at hand.
+    """
     from spiral.inference.plan import PlanQuestion, plan
     from spiral.inference.plan_options import plan_options
     from spiral.inference.planned_tests import planned_tests, simulator
 
-    chosen, question = plan_options({}), replace(problem, model=model)
+    chosen = plan_options({"durations": tuple(durations)})
+    question = replace(problem, model=model)
     wanted = PlanQuestion(tuple(registry.effect_from_label(e) for e in effects), "", None)
     tests = planned_tests(question, chosen)
     ranking = plan(question, wanted, tests, simulator(question, registry.simulation), progress)
@@ -108,10 +113,13 @@ def rank_discriminating_tests(
         {"test": name, "probability": o.probability, "rise": o.noncentrality, "failure": o.failure}
         for name, o in zip(names, (ranking.now, *ranking.tests[:_SHOWN]), strict=False)
     ]
-    advice = ranking.advice
+    advice, _, settings = ranking.advice.partition(" Give longer or wider ones")
     for label in effects:
         advice = advice.replace(label, label_words(label))
-    return replace_nonfinite({"effects": list(effects), "rows": rows, "advice": advice})
+    tried = sorted({o.test.duration for o in ranking.tests}) if settings else []
+    return replace_nonfinite(
+        {"effects": list(effects), "rows": rows, "advice": advice, "tried": tried}
+    )
 
 
 def keep_latest(store: dict[Any, Any], key: Any, value: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from spiral.types.effect import Effect
@@ -11,6 +11,7 @@ from spiral.types.parameter import Interpolation
 from spiral.types.placement import at_fitting_places
 from spiral.types.plugin import Plugin
 from spiral.types.record import Record
+from spiral.types.run import Suggestion
 
 DECISIVE_ODDS = 100.0
 """Ratio of likelihoods from which one model is told from another: what Jeffreys calls decisive.
@@ -20,6 +21,21 @@ Source: H. Jeffreys, Theory of Probability, appendix B.
 
 Progress = Callable[[str], None]
 """Called with a message that says what is being done."""
+
+
+class ScoreMessage(str):
+    """A message of progress that carries all candidates as scored, before any is refitted.
+
+    ``suggestions`` and their order are preliminary: refits change what each explains.
+    """
+
+    suggestions: tuple[Suggestion, ...]
+
+    def __new__(cls, words: str, suggestions: Sequence[Suggestion]) -> ScoreMessage:
+        """The message in words, with its suggestions, the best first."""
+        message = super().__new__(cls, words)
+        message.suggestions = tuple(suggestions)
+        return message
 
 
 def silent(message: str) -> None:

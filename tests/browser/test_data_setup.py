@@ -88,6 +88,7 @@ def drag(tab, first, last):
 def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, picture):
     begun(tab, served, files / "run1.csv", "oscillator")
     assert "The last part is kept apart" in tab.inner_text("#apart")
+    assert "x in m, force in N, time in s" in tab.inner_text("#units-taken")  # a header of names
     mark(tab, "Mark the test", "test")
     drag(tab, 0.1, 0.4)
     tab.wait_for_selector("#apart:has-text('No fit sees the test record: run1.csv rows [')")
@@ -154,6 +155,11 @@ def test_what_a_record_cannot_tell_is_said_before_any_fit(tab, served, files, pi
     tab.click("text=Plan the test that tells them apart")
     assert tab.inner_text(".command >> nth=0").startswith("spiral plan ")
     picture(tab, "desk-foresight")
+    tab.click("text=Sensors and inputs")
+    for end, speed in (("from", "1"), ("to", "5")):
+        tab.fill(f'input[aria-label="slow roll {end} speed, in the file\'s unit"]', speed)
+    tab.wait_for_selector("[role=alert] .places:has-text('record.slow_roll under Sensors')")
+    assert "no sample between 1 and 5 rad/s" in tab.inner_text("[role=alert]")
     assert faults(tab) == []
 
 

@@ -93,6 +93,7 @@ def test_a_column_with_a_text_among_its_numbers_is_told(tab, served, files, pict
     upload(tab, served, files / "overload.csv")
     said = tab.inner_text("#left-out")
     assert said.startswith("Left out:\ncolumn 'probe 1' of overload.csv, row 700 (line 703): text ")
+    assert "record.rows in Fitted rows" in tab.inner_text("main")  # where the page has it
     assert "probe 1" not in tab.inner_text("table.plain >> nth=0")
     assert faults(tab) == []
     picture(tab, "left-out")
@@ -204,6 +205,14 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
     assert "the record at hand" in told
     assert "No planned test reaches 95%" in told  # one effect under two names
     assert "cubic_stiffness" not in told
+    assert "plan." not in told  # settings of the command line are a field here
+    tab.fill("input[aria-label='Lengths to try, s']", "0")
+    tab.click("button:has-text('Plan again'):enabled")
+    tab.click(".q-notification:has-text('numbers above zero') button:has-text('Close')")
+    tab.fill("input[aria-label='Lengths to try, s']", "1.5")
+    tab.click("button:has-text('Plan again'):enabled")
+    tab.wait_for_selector("#plan td:has-text('1.5 s')")
+    assert tab.get_attribute("input[aria-label='Lengths to try, s']", "placeholder") == "1.5"
     picture(tab, "planned")
     tab.wait_for_selector("button:has-text('Compare them'):enabled")
     tab.click("button:has-text('Compare them'):enabled")

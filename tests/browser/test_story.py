@@ -52,6 +52,9 @@ def study(served, chromium):
 
 def _first_step(page, began):
     """What is seen up to the first effect added, and when."""
+    page.wait_for_selector("#preliminary")  # scores, while the best candidates are refitted
+    scored = page.locator(".effect .name").all_inner_texts()
+    buttons = page.locator(".effect button").count()
     page.wait_for_selector("#proposal.good")
     ready(page, FIRST)
     before = error(page)
@@ -61,6 +64,7 @@ def _first_step(page, began):
         "foretold": re.findall(r"→ ([\d.]+ %)", page.inner_text(".effect.first .tried")),
         "explains": re.findall(r"explains ([\d.]+) %", page.inner_text("main")),
         "order": page.inner_text(".order"),
+        "scored": (scored, buttons),
     }
     clicked = time.monotonic()
     add(page, FIRST)
@@ -119,6 +123,13 @@ def test_a_step_that_helps_is_the_filled_button_and_costs_no_second_fit(tab, stu
     for figure in proposed["foretold"]:
         assert figure in tab.inner_text("#horizons")
     picture(tab, "step-better")
+
+
+def test_a_preliminary_list_is_there_before_the_refits_end(study):
+    scored, buttons = study["proposed"]["scored"]
+    assert len(scored) == 5
+    assert FIRST in scored
+    assert buttons == 0  # nothing to add before the list is final
 
 
 def test_a_reload_finds_the_study_where_it_was(tab, study, picture):
@@ -336,6 +347,25 @@ def test_a_narrow_window_scrolls_one_way_only(tab, study, picture):
     )
     assert wide <= 0
     picture(tab, "narrow")
+
+
+def test_pictures_stand_one_below_the_other_in_a_narrow_window(tab, study):
+    """And side by side again in one that grows, with the curve's last label in its figure."""
+    tops = """[...document.querySelectorAll('#plot-where :is(.g-xtitle, .g-x2title) text')].map(
+        e => e.getBoundingClientRect().top)"""
+    tab.goto(study["address"])
+    tab.click(".q-tab:has-text('Where it fails')")
+    tab.wait_for_selector("#plot-where .main-svg")
+    tab.set_viewport_size({"width": 390, "height": 844})
+    tab.wait_for_function(f"new Set({tops}).size === 2")
+    inside = """() => { const box = e => e.getBoundingClientRect();
+      const labels = [...document.querySelectorAll('#plot-error-falling .annotation-text')];
+      const edge = box(document.querySelector('#plot-error-falling .main-svg')).right;
+      return labels.length > 2 && labels.every(e => box(e).right <= edge); }"""
+    tab.wait_for_function(inside)
+    tab.set_viewport_size({"width": 1366, "height": 900})
+    tab.wait_for_function(f"{tops}.length === 2 && new Set({tops}).size === 1")
+    tab.wait_for_function(inside)
 
 
 @pytest.mark.parametrize("adding", [False, pytest.param(True, marks=pytest.mark.slow)])

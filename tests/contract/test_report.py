@@ -4,7 +4,7 @@ import json
 import re
 import shlex
 from html.parser import HTMLParser
-from itertools import pairwise
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -139,15 +139,22 @@ def test_a_round_that_runs_away_is_marked_and_drawn_beside_the_others():
     assert error_falling({"rounds": rounds[1:]}, least=1) is None
 
 
-def test_labels_of_errors_that_are_alike_stand_at_three_heights():
-    rounds = [{"round": i, "admitted": ["a"] * (i > 0), "fit_error": e, "test_error": e}
-              for i, e in enumerate((0.7, 0.0095, 0.0094, 0.0093, 0.0093))]  # fmt: skip
-    figure = error_falling({"rounds": rounds, "noise_floor": 0.009})
+@pytest.mark.parametrize("width", [700, 250])
+@pytest.mark.parametrize("errors", [(0.7, 0.0095, 0.0094, 0.0093, 0.0093),
+                                    (1.08, 0.566, 0.0686, 0.028, 0.0191)])  # fmt: skip
+def test_labels_of_the_curve_of_errors_neither_overlap_nor_leave_it(errors, width):
+    rounds = [{"round": i, "admitted": ["cross_damping"] * (i > 0), "fit_error": e, "test_error": e}
+              for i, e in enumerate(errors)]  # fmt: skip
+    figure = error_falling({"rounds": rounds, "noise_floor": 0.009}, width=width, height=500)
+    first, last = figure.layout.xaxis.range
+    low, high = figure.layout.yaxis.range
     labels = [a for a in figure.layout.annotations if "noise floor" not in a.text]
-    heights = [a.yshift for a in labels]
-    assert len(set(heights)) == 3
-    assert heights[0] == heights[1] == heights[4]
-    assert min(abs(a - b) for a, b in pairwise(heights[1:])) >= 30  # two lines of text
+    across, up = width / (last - first), 400 / (high - low)
+    corners = [((a.x - first) * across + 7, (a.y - low) * up + a.yshift) for a in labels]
+    assert len(corners) == len(errors)
+    assert all(x + 105 <= width and 0 <= y <= 400 for x, y in corners)
+    for (x, y), (other_x, other_y) in combinations(corners, 2):
+        assert abs(x - other_x) >= 105 or abs(y - other_y) >= 34  # 15 letters, two lines
 
 
 @pytest.mark.parametrize(

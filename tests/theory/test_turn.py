@@ -9,7 +9,7 @@ from spiral.app.fit_worker import FitWorker
 from spiral.inference.discover import discover
 from spiral.inference.evidence.comparison import chi2_on_windows, compare_fitted_model
 from spiral.inference.evidence.enlarge import enlarge_for
-from spiral.inference.problem import silent
+from spiral.inference.problem import ScoreMessage, silent
 from spiral.inference.rounds import (
     admit_step,
     choose_candidate,
@@ -48,6 +48,22 @@ def test_the_proposed_effect_by_hand_is_the_loops_own_round(study):
     for one, other in zip(by_hand, by_loop, strict=True):
         assert one.comparison.test_error == other.comparison.test_error
         assert one.comparison.model.values == other.comparison.model.values
+
+
+def test_scores_of_all_candidates_are_told_before_any_refit(study):
+    problem, strategy, assembly, at, step = study
+    if strategy.plugin_name() != "likelihood":
+        pytest.skip("ranks without refits")
+    heard = []
+    rank_last_round(strategy, assembly, at, heard.append)
+    scored = [m for m in heard if isinstance(m, ScoreMessage)]
+    refits = [m for m in heard if m.startswith("refitting with")]
+    assert len(scored) == 1
+    assert heard.index(scored[0]) < heard.index(refits[0])
+    told = [s.effect for s in scored[0].suggestions]
+    assert set(told) == {e.label for e in problem.candidates}
+    assert told[0] == step.admitted[0]
+    assert refits[0].endswith("(1 of 2)")  # the third is not worth its penalty
 
 
 def better(strategy, after, before):

@@ -16,7 +16,9 @@ from spiral.app.record_setup import (
     RecordSetup,
     mark_stretch,
     missing_choices,
+    places_of_settings,
     setup_overrides,
+    units_taken,
     with_setting,
 )
 from spiral.io.config import build_problem, build_sources, compose
@@ -81,11 +83,36 @@ def test_files_stretches_and_sensors_are_those_of_the_command_line(tmp_path):
 def test_a_pulse_stands_for_the_speed_and_probes_for_their_angles():
     columns = {"x": "p1", "y": "p2"}
     assert missing_choices(setup(ROTOR, columns)) == ["a column for speed"]
-    found = setup(ROTOR, columns, pulse="key", rotation="clockwise", angles={"x": "45", "y": "135"})
+    found = setup(ROTOR, columns, pulse="key", rotation="clockwise",
+                  angles={"x": "45", "y": "135"},
+                  slow_roll={"from": "200", "to": " 400"})  # fmt: skip
     assert missing_choices(found) == []
     source, _ = build_sources(compose(setup_overrides(found), registry()), registry())
     assert (source.pulse, source.rotation) == ("key", "clockwise")
     assert source.probe_angles == {"x": 45, "y": 135}
+    assert source.slow_roll == {"speed": [200, 400]}
+    half = replace(found, choice=replace(found.choice, slow_roll={"from": "200", "to": ""}))
+    assert not any("slow_roll" in line for line in setup_overrides(half))
+
+
+def test_units_that_nobody_gave_are_told():
+    columns = ({"name": "x", "unit": "mm"}, {"name": "f", "unit": ""}, {"name": "t", "unit": ""})
+    given = replace(setup(OSCILLATOR, {"x": "x", "force": "f"}), columns=columns)
+    assert units_taken(given) == ["force in N", "time in s"]
+    typed = replace(given.choice, units={"force": "kN", "time": "ms"})
+    assert units_taken(replace(given, choice=typed)) == []
+    assert units_taken(setup(OSCILLATOR, {"x": "x", "force": AT_REST})) == ["x in m", "time in s"]
+
+
+def test_settings_in_a_message_are_told_by_their_place_on_the_page():
+    said = places_of_settings({
+        "given": "unit 'q' of x", "expected": "one that converts",
+        "try": "correct record.units, or cut it with record.rows=[0, 9]; record.missing=leave_out",
+    })  # fmt: skip
+    assert "<code>record.units</code> in the field beside each column" in said
+    assert "<code>record.rows</code> in <i>Fitted rows</i>" in said
+    assert "<code>record.missing</code> under <i>More</i>" in said
+    assert places_of_settings({"given": "an empty file", "try": "export it again"}) == ""
 
 
 @pytest.mark.parametrize(("speeds", "alike"), [((20.0, 20.0), True), ((40.0, 5.0), False)])

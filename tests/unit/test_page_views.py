@@ -7,16 +7,18 @@ import pytest
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.app.address import Address, format_address, parse_address
-from spiral.app.caveats import turn_caveats
+from spiral.app.caveats import tellable_noise_floor, turn_caveats
 from spiral.app.record_setup import advised_lines, replace_line
 from spiral.app.side_by_side import comparison_errors, comparison_parameters
 from spiral.app.study import StudyState, add_turn, new_study
 from spiral.inference.discover import Checkpoint
+from spiral.inference.likelihood.departures import reversed_sign_sentences
 from spiral.inference.problem import Settings
 from spiral.io.curves import FINAL, Curves
 from spiral.io.readers.own_units import conversion_to_system, unit_field
 from spiral.types.errors import InputError
 from spiral.types.model import seed_model
+from spiral.types.record import make_record
 from spiral.types.run import Comparison, Round
 from spiral.view.report.overlay import overlay_models
 from spiral.view.report.trial import residual_comparison
@@ -153,3 +155,37 @@ def test_a_step_s_caveats_name_what_only_looks_random_and_what_contradicts_it():
     assert any(s.startswith("Random forces move a free run by 40.0 %") for s in said)
     calm = Checkpoint((Round(0, (), {}, {}, (), replace(comparison, disturbed=0.01), 1.0),), None)
     assert not any("andom" in s for s in turn_caveats(calm, Settings()))
+
+
+def test_a_sign_that_also_turned_is_told_once():
+    model = seed_model(Oscillator())
+    key = "linear_damping.damping"
+    model = replace(model, values={**model.values, key: -3.0}, errors={key: 0.1})
+    turned = reversed_sign_sentences(model, {key: 3.0})
+    comparison = Comparison(
+        model, 0.02, 0.02, {}, 0.02, 1.0, 0.4, 0.0, 1024, True, contradictions=turned
+    )
+
+    def signs(comparison):
+        at = Checkpoint((Round(0, (), {}, {}, (), comparison, 1.0),), None)
+        return [s for s in turn_caveats(at, Settings()) if "negative damping" in s]
+
+    assert len(turned) == 1
+    assert len(signs(comparison)) == 1
+    assert "ended at -3 where 3 was given" in signs(comparison)[0]
+    assert len(signs(replace(comparison, contradictions=()))) == 1
+
+
+def test_a_noise_floor_below_the_rounding_of_the_file_is_not_told():
+    rng, time = np.random.default_rng(0), np.arange(2000) / 100.0
+    smooth = np.sin(time) + rng.normal(size=2000) * 1e-3
+    step = 0.01
+    rounded = make_record(
+        Oscillator(), "r", time, {"x": step * np.round(smooth / step)}, {"force": smooth}
+    )
+    least = step / 12**0.5 / smooth.std()
+    assert tellable_noise_floor(0.9 * least, [rounded]) is None
+    assert tellable_noise_floor(1.1 * least, [rounded]) == 1.1 * least
+    fine = make_record(Oscillator(), "s", time, {"x": smooth}, {"force": smooth})
+    assert tellable_noise_floor(1e-4, [fine]) == 1e-4
+    assert tellable_noise_floor(1e-6, [fine]) is None

@@ -7,7 +7,13 @@ import pytest
 from spiral.app import session as sessions
 from spiral.app import study as kept
 from spiral.app.frame import shell_command
-from spiral.app.panels import effect_chips, ending_message, has_learnable_curve, proposal_message
+from spiral.app.panels import (
+    effect_chips,
+    ending_message,
+    has_learnable_curve,
+    progress_words,
+    proposal_message,
+)
 from spiral.app.record_setup import guess_columns
 from spiral.app.session import Session
 from spiral.types.errors import ConfigError, InputError
@@ -91,6 +97,33 @@ def test_add_undo_redo_and_another_branch(session, ident):
     session.move(ident, second, study.turn.serial)
     assert errors(session.scene(ident).study) == [0.6, 0.3]
     assert kept.load_study(session.out, ident) == session.scene(ident).study
+
+
+def test_scores_are_shown_until_the_ranking_is_there_and_only_for_their_turn(session, ident):
+    fits = session._fits
+    session.add(ident, "b", session.scene(ident).study.turn.serial)
+    order, scored = fits.orders[-1], {"candidates": [{"effect": "c"}]}
+    fits.on_event(order, "scored", scored)  # of the turn before, ranked again to add to it
+    assert session.scene(ident).scored == ()
+    landed = {"added": "b", "result": {"test_error": 0.3}, "noise_floor": 0.01}
+    fits.on_event(order, "turn", landed)
+    fits.on_event(order, "scored", scored)
+    assert [c["effect"] for c in session.scene(ident).scored] == ["c"]
+    fits.on_event(order, "ranked", RANKED)
+    fits.on_event(order, "done", {})
+    assert session.scene(ident).scored == ()
+
+
+def test_a_step_says_how_long_the_last_of_its_kind_took(session, ident):
+    session.add(ident, "b", session.scene(ident).study.turn.serial)
+    assert session.scene(ident).busy.lasted == 0.0
+    turned(session, "b", 0.3)
+    session._lasted[ident, "add"] = 14.2
+    session.add(ident, "c", session.scene(ident).study.turn.serial)
+    busy = session.scene(ident).busy
+    said = progress_words(busy.what, "drawing", busy.lasted)
+    assert said == "Adding c: drawing (the last such step took 14 s)"
+    assert progress_words("Adding c", "", 0.3) == "Adding c"
 
 
 def test_turns_of_older_files_are_a_line(session, ident, tmp_path):

@@ -128,14 +128,17 @@ class Race:
     ) -> Race:
         """The race started again with these candidates too, fitted briefly; ``far`` from zero."""
 
-        def fit_briefly(ranked: RankedCandidate) -> Rival:
-            self.progress(f"refitting with {ranked.variant.original.label}")
+        def fit_briefly(numbered: tuple[int, RankedCandidate]) -> Rival:
+            number, ranked = numbered
+            label = ranked.variant.original.label
+            self.progress(f"refitting with {label} ({number} of {len(chosen)})")
             return fit_candidate_briefly(
                 self.assembly, self.base, ranked, self.masks, ranked in far
             )
 
         samples = longest(self.base.estimate.prepared)
-        return self.with_more_rivals(run_in_threads(fit_briefly, chosen, samples))
+        numbered = list(enumerate(chosen, start=1))
+        return self.with_more_rivals(run_in_threads(fit_briefly, numbered, samples))
 
     def with_only_rivals(self, others: Sequence[Rival]) -> Race:
         """The same race between these rivals alone, already fitted briefly."""

@@ -30,7 +30,10 @@ _FEW, _LABELS = 8, 5  # up to 8 points of a curve are all labelled, of more only
 _TICKS = 16
 _LABEL = 16  # letters of a label's line
 _LINES = 38  # pixels of a label's height
-_NEAR = 0.3  # logarithm of the ratio of two errors up to which their labels are side by side
+_WIDTH = 115  # pixels of a label's width
+_AROUND = 100  # pixels above and below the axes
+_LAST = 0.22  # share of the width, at least, that is left for the label of the last step
+_LEFT = 0.15  # rounds to the left of the first
 _LEAST = 1e-3  # percent, where an error of zero is drawn
 
 
@@ -42,15 +45,18 @@ def result_rounds(result: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [{"round": 0, "admitted": [], **only}] if "test_error" in only else []
 
 
-def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None:
+def error_falling(
+    result: Mapping[str, Any], least: int = 2, width: float = 700, height: int = 430
+) -> go.Figure | None:
     """Fit and test error by round, the noise floor below them, the effect admitted at each step.
 
-    Nothing for a history shorter than ``least`` rounds.
+    Nothing for a history shorter than ``least`` rounds. Labels are placed for axes of ``width``
+    pixels in a figure of ``height``.
     """
     history = result_rounds(result)
     if len(history) < least or not _finite_errors(history):
         return None
-    figure = blank_figure(height=430)
+    figure = blank_figure(height=height)
     numbers = [r["round"] for r in history]
     names = [_step_label(r) for r in history]
     for key, name, colour, dash in (
@@ -65,20 +71,22 @@ def error_falling(result: Mapping[str, Any], least: int = 2) -> go.Figure | None
         )  # fmt: skip
     errors = [_as_percent(r.get("test_error")) for r in history]
     told = _labelled_points(errors)
-    for index, level in zip(told, _label_levels([errors[i] for i in told]), strict=True):
+    first, last, *span = _draw_floor_and_axes(figure, history, result.get("noise_floor"), width)
+    scale = width / (last - first), (height - _AROUND) / (span[1] - span[0])
+    at = [(numbers[i], None if (v := errors[i]) is None else math.log10(v)) for i in told]
+    for index, shift in zip(told, _label_shifts(at, *scale), strict=True):
         number, name, r, value = numbers[index], names[index], history[index], errors[index]
         at = {"y": 1, "yref": "paper", "yanchor": "top", "font": {"size": 13, "color": VERMILION}}
         if value is not None:
             at = {
                 "y": math.log10(value),
                 "yanchor": "bottom",
-                "yshift": 5 + _LINES * level,
+                "yshift": 5 + shift,
                 "font": {"size": 13},
             }
         said = "↑ not finite" if value is None else percent(r["test_error"])
         figure.add_annotation(x=number, text=f"<b>{said}</b><br>{name}", align="left",
                               showarrow=False, xanchor="left", xshift=7, **at)  # fmt: skip
-    _draw_floor_and_axes(figure, history, result.get("noise_floor"))
     return figure
 
 
@@ -102,21 +110,30 @@ def _labelled_points(values: Sequence[float | None]) -> list[int]:
     return sorted(chosen)
 
 
-def _label_levels(values: Sequence[float | None]) -> list[int]:
-    """How high above its point each label stands, so that neighbours of one height do not overlap.
+def _label_shifts(
+    points: Sequence[tuple[float, float | None]], across: float, up: float
+) -> list[float]:
+    """Pixels by which each label stands above its point, so that none overlaps one to its right.
 
-    A label whose point is nearly as high as the one before it stands a level higher, of three.
+    ``points`` are (round, log10 of the error), ``across`` and ``up`` pixels for one of each.
     """
-    levels: list[int] = []
-    for before, value in itertools.pairwise([None, *values]):
-        near = before is not None and value is not None and abs(math.log(value / before)) < _NEAR
-        levels.append((levels[-1] + 1) % 3 if near else 0)
-    return levels
+    shifts: list[float] = []
+    placed: list[tuple[float, float]] = []  # left end and bottom of the labels so far, in pixels
+    for x, y in reversed(points):
+        left, bottom = x * across, 0.0 if y is None else y * up
+        at = bottom
+        for other in sorted(b for a, b in placed if a - left < _WIDTH):
+            at = other + _LINES if abs(other - at) < _LINES else at
+        shifts.insert(0, at - bottom)
+        if y is not None:
+            placed.append((left, at))
+    return shifts
 
 
 def _draw_floor_and_axes(
-    figure: Any, history: Sequence[Mapping[str, Any]], share: float | None
-) -> None:
+    figure: Any, history: Sequence[Mapping[str, Any]], share: float | None, width: float
+) -> tuple[float, float, float, float]:
+    """Draw them; returns first and last round and lowest and highest log10 that are in view."""
     floor = _as_percent(share)
     if floor:
         figure.add_hline(floor, line={"color": GREY, "dash": "dash", "width": 2})
@@ -132,15 +149,18 @@ def _draw_floor_and_axes(
         )
     numbers = [r["round"] for r in history]
     ticks = numbers[:: math.ceil(len(numbers) / _TICKS)]
+    label = max(_LAST, _WIDTH / width)
+    rounds = (-_LEFT, numbers[-1] + max(0.8, label / (1 - label) * (numbers[-1] + _LEFT)))
     figure.update_xaxes(title_text="round", tickmode="array", tickvals=ticks,
-                        range=[-0.15, numbers[-1] + max(0.8, 0.28 * numbers[-1])])  # fmt: skip
+                        range=list(rounds))  # fmt: skip
     values = _finite_errors(history)
     low, high = min([*values, floor or math.inf]), max(values)
     bottom, top = math.log10(low) - 0.25, math.log10(high)
-    span = [bottom, top + max(0.45, 0.2 * (top - bottom))]  # room for the labels of the highest
+    span = (bottom, top + max(0.45, 0.2 * (top - bottom)))  # room for the labels of the highest
     figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
-                        range=span, **decade_ticks(*span),
+                        range=list(span), **decade_ticks(*span),
                         minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
+    return (*rounds, *span)
 
 
 def _finite_errors(history: Sequence[Mapping[str, Any]]) -> list[float]:

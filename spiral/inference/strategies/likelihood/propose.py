@@ -7,7 +7,7 @@ no longer wanted let go.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,7 +41,7 @@ from spiral.inference.likelihood.noise_selection import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import is_near_noise
-from spiral.inference.problem import Progress, silent
+from spiral.inference.problem import Progress, ScoreMessage, silent
 from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
 from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
@@ -88,7 +88,7 @@ def propose(
     """
     bare, assembly = assembly, enlarge(assembly, state.labels)
     masks = half_masks(assembly)
-    contest = _race_candidates(options, assembly, state, masks[0], progress)
+    contest = _race_candidates(options, assembly, state, masks[0], progress, _score_message)
     if contest is None:
         return Step((), {}, stopped="diverged")
     base, ranked, race = contest
@@ -125,19 +125,29 @@ def propose(
 
 def _race_candidates(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, select: Masks,
-    progress: Progress,
+    progress: Progress, scored: Callable[[Ranking], str] | None = None,
 ) -> tuple[LikelihoodFit, Ranking, Race] | None:  # fmt: skip
-    """The model as it is on the blocks that select, candidates by their score, and their race."""
+    """The model as it is on the blocks that select, candidates by their score, and their race.
+
+    ``scored`` : the message about the scores, where they are of interest by themselves.
+    """
     progress("scoring candidates by one-step predictions")
     base = fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
     ranked = rank_candidates(assembly, base, base.estimate.noise, select)
     if ranked is None:
         return None
+    if scored is not None:
+        progress(scored(ranked))
     return (
         base,
         ranked,
         start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals),
     )
+
+
+def _score_message(ranking: Ranking) -> ScoreMessage:
+    listed = _sort_by_net(suggestions((), ranking, "", ()))
+    return ScoreMessage(f"refitting the best of {len(listed)} candidates", listed)
 
 
 def _find_second_effect(
@@ -282,6 +292,10 @@ def suggestions_by_worth(step: Step[ScoredRound]) -> tuple[Suggestion, ...]:
     scored = step.result
     label = next(iter(step.admitted), "")
     listed = suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
+    return _sort_by_net(listed)
+
+
+def _sort_by_net(listed: Sequence[Suggestion]) -> tuple[Suggestion, ...]:
     return tuple(sorted(listed, key=lambda s: -(s.net or 0.0)))
 
 
