@@ -9,18 +9,53 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from spiral.types.cache import kept
-
-if TYPE_CHECKING:
-    from spiral.types.system import System
+from spiral.types.parameter import Input, Parameter, State
 
 _SAME = 1e-9  # of a value, by which it may differ for rounding
 _SHIFT = 0.37  # of a state and an input together
 
 
-def readings_with_rates(system: System) -> set[str]:
+class ProbedSystem(Protocol):
+    """What is asked of a system."""
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """States, with units."""
+        ...
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Known inputs."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its own parameters."""
+        ...
+
+    @property
+    def injections(self) -> tuple[State, ...]:
+        """Where effects enter."""
+        ...
+
+    @property
+    def readings(self) -> tuple[State, ...]:
+        """Channels that are no state."""
+        ...
+
+    def rate(self, x: Any, u: Any, p: Any, injected: dict[str, Any]) -> dict[str, Any]:
+        """x' of every state."""
+        ...
+
+    def reading(self, x: Any, rates: Any, u: Any, p: Any) -> dict[str, Any]:
+        """h of every reading."""
+        ...
+
+
+def readings_with_rates(system: ProbedSystem) -> set[str]:
     """Names of the readings that change with x': what hits or holds the machine makes them jump."""
     names = {r.name for r in system.readings}
     try:
@@ -33,7 +68,7 @@ def readings_with_rates(system: System) -> set[str]:
 
 
 @kept(64)
-def follows_input(system: System, state: str, given: str) -> bool:
+def follows_input(system: ProbedSystem, state: str, given: str) -> bool:
     """Whether a state's rate depends on it and an input by their difference alone."""
     try:
         x, u, p = _point(system)
@@ -49,7 +84,7 @@ def follows_input(system: System, state: str, given: str) -> bool:
         return False
 
 
-def _point(system: System) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
+def _point(system: ProbedSystem) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
     """Numbers for states, inputs and parameters."""
     inputs = [i.name for i in system.inputs]
     inputs += [i.rate.name for i in system.inputs if i.derivative]
