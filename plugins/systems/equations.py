@@ -37,12 +37,14 @@ class Equations(MechanicalSystem):
 
     def __post_init__(self):
         """Read the file and its equations, so that what is wrong is said at once."""
-        from spiral.physics.formulas.definition import text_of_file
+        from spiral.physics.formulas.definition import check_free_parameters, text_of_file
 
         text = self.text or (text_of_file(self.path) if self.path else EXAMPLE)
         object.__setattr__(self, "text", text)
         try:
             _ = self.ports
+            if self.path:
+                check_free_parameters(self.form.definition)
         except ConfigError as error:
             place = f"{self.path}: " if self.path else ""
             raise ConfigError(place + error.given, error.expected, error.try_) from error

@@ -133,6 +133,7 @@ def _system_from_equations(
     source: Mapping[str, Any] | Sequence[str], given: Mapping[str, Any]
 ) -> System:
     """A system from equations given in Python, under the same keys as in a file."""
+    from spiral.physics.formulas.definition import check_free_parameters, definition_of
     from spiral.physics.formulas.function import dump_sections
 
     whole = dict(source) if isinstance(source, Mapping) else {"equations": list(source)}
@@ -140,7 +141,9 @@ def _system_from_equations(
     if twice := sorted(set(whole) & set(more)):
         raise ConfigError(f"{', '.join(twice)}, in the mapping and beside it", "one of them")
     text = dump_sections({**whole, **more})
-    return load_registry(NO_FOLDER).make("system", "equations", {"text": text})
+    system = load_registry(NO_FOLDER).make("system", "equations", {"text": text})
+    check_free_parameters(definition_of(text))
+    return system
 
 
 def _system_from_file(file: str, given: Mapping[str, Any]) -> System:

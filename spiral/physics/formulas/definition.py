@@ -78,7 +78,10 @@ SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name not in _DERIVED
 
 
 def check_free_parameters(definition: SystemDefinition) -> None:
-    """Raise ConfigError for a free parameter that is in no formula: no record tells its value."""
+    """Raise ConfigError for a free parameter that is in no formula: no record tells its value.
+
+    Not for equations around a program, which its parameters go into.
+    """
     texts = [
         *definition.equations,
         *(text for _, text in definition.readings),

@@ -17,11 +17,7 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.formulas import syntax
-from spiral.physics.formulas.definition import (
-    SystemDefinition,
-    check_free_parameters,
-    definition_of,
-)
+from spiral.physics.formulas.definition import SystemDefinition, definition_of
 from spiral.physics.formulas.dimensions import DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.inertia import inertia_of
 from spiral.physics.formulas.measured import readings_of
@@ -83,7 +79,6 @@ def equations_of(text: str) -> StandardForm:
     """
     given = definition_of(text)
     rows = [read_row(given, i) for i in range(len(given.equations))]
-    check_free_parameters(given)
     return _arrange_equations(given, rows)
 
 
