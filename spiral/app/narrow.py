@@ -11,15 +11,14 @@ from typing import Any
 
 from nicegui import app, ui
 
-_WIDTH = 600  # pixels of a window, up to which it is narrow
 _KEY = "narrow"  # the event, and what the storage of a tab of the browser keeps of it
 _TITLE, _TITLE_FONT = 34, 13  # letters of a line of a horizontal axis' title, and their size
 _GAP = 84  # pixels between two pictures, with ticks and title of the upper one's axis
 _TOP, _BOTTOM = 46, 56  # pixels of the margins where a figure says nothing
 _AXIS = re.compile(r"[xy]axis\d*")
-_WATCH = f"""const narrow = matchMedia('(max-width: {_WIDTH}px)');
-narrow.addEventListener('change', () => emitEvent('{_KEY}', narrow.matches));
-if (narrow.matches) emitEvent('{_KEY}', true);"""
+_WATCH = """const narrow = matchMedia('(max-width: 600px)');
+narrow.addEventListener('change', () => emitEvent('narrow', narrow.matches));
+if (narrow.matches) emitEvent('narrow', true);"""
 
 
 def watch_width(draw_anew: Callable[[], None]) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 import spiral
 from spiral.engine.kernel import trajectories
+from spiral.engine.series import rows_at_stages
 from spiral.physics.compile import compile_model
 from spiral.types.errors import ConfigError
 from spiral.types.units import base_form
@@ -134,14 +135,14 @@ def test_co_simulation_runs_as_we_do_along_straight_inputs(machine, description,
 
 
 def free_run(machine, grid, substeps, samples):
-    """Our own states, one communication step a sample."""
+    """Our own states, one communication step a sample, along a grid of half steps."""
     compiled = compile_model(machine.traced)
     states, readings = np.empty((samples, len(machine.states[0]))), np.empty((samples, 2))
     readings = readings[:, : machine.readings.shape[1]].copy()
     trajectories(
         compiled.rate_value, compiled.output_value, machine.states[:1].copy(),
         np.zeros(1, dtype=np.int64), np.array([samples]), machine.model.row("", "")[None],
-        grid, substeps, STEP, states, readings,
+        rows_at_stages(grid), substeps, STEP, states, readings,
     )  # fmt: skip
     return states
 
