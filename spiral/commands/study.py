@@ -168,12 +168,12 @@ def _fit_failure(comparison: Comparison) -> dict[str, str]:
         return {}
     where = "" if comparison.random is not None else f" on windows of {comparison.horizon} samples"
     given = "a model whose free run leaves all bounds"
-    clues = [f"{s[0].upper()}{s[1:]}." for s in comparison.contradictions if s.endswith("?")]
+    asked = [f"{s[0].upper()}{s[1:]}" for s in comparison.contradictions if s.endswith("?")]
     first = "spiral diagnose with the same overrides, or first values: values='{NAME: VALUE}'"
     return {
         "given": given if comparison.converged else f"a fit that does not converge{where}",
         "expected": "a model near enough to follow the record",
-        "try": " ".join((*(c.removesuffix(".") for c in clues), first)),
+        "try": " ".join((*asked, first)),
     }
 
 

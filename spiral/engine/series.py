@@ -221,16 +221,20 @@ def stage_inputs(system: System, record: Record, substeps: int) -> Array:
         if i.derivative
     ]
     columns.append(record.time[0] + fine * record.dt)
-    stages = rows_at_stages(np.column_stack(columns))
     held = [k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"]
-    stages[2::3, held] = stages[1::3, held]
-    return stages
+    return rows_at_stages(np.column_stack(columns), held)
 
 
-def rows_at_stages(rows: Array) -> Array:
-    """Rows of the half-step grid at the stages of all integration steps (``stage_inputs``)."""
+def rows_at_stages(rows: Array, held: Sequence[int] = ()) -> Array:
+    """Rows of the half-step grid at the stages of all integration steps (``stage_inputs``).
+
+    Columns that are ``held`` end a step with the value that they have in it.
+    """
     steps = len(rows) // 2
-    return rows[np.append(2 * np.arange(steps)[:, None] + np.arange(3), 2 * steps)]
+    stages = rows[np.append(2 * np.arange(steps)[:, None] + np.arange(3), 2 * steps)]
+    for column in held:
+        stages[2::3, column] = stages[1::3, column]
+    return stages
 
 
 def sample_inputs(stages: Array, substeps: int) -> Array:

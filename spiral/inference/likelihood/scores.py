@@ -273,11 +273,12 @@ def predicted_motion(
     would attribute to sensor effects.
     """
     system = assembly.problem.model.system
-    n, inputs = len(system.states), sample_inputs(task.inputs, task.series.substeps)
+    n, substeps = len(system.states), task.series.substeps
+    inputs, read = sample_inputs(task.inputs, substeps), task.inputs[:: 3 * substeps]
     rows = np.ascontiguousarray(part.expected[:, : len(task.states)])
 
     def evaluate_model(u: Array | float, p: Array) -> tuple[Array, Array]:
-        rates, readings = _evaluate_along(task, rows, u, p)
+        rates, readings = _evaluate_along(task, rows, inputs + u, read + u, p)
         return rates[:, :n], readings
 
     def slopes(u: Array | float, p: Array | float, step: float) -> tuple[Array, Array]:
@@ -305,17 +306,15 @@ def predicted_motion(
 
 
 def _evaluate_along(
-    task: FilterInput, rows: Array, more: Array | float, values: Array
+    task: FilterInput, rows: Array, inputs: Array, read: Array, values: Array
 ) -> tuple[Array, Array]:
-    """Rates and readings at states (samples, n), with ``more`` added to the inputs."""
+    """Rates at states (samples, n) under ``inputs``, and readings there under ``read``."""
     from spiral.engine.likelihood.signatures_kernel import evaluate_along
 
-    substeps = task.series.substeps
-    acting, read = sample_inputs(task.inputs, substeps), task.inputs[:: 3 * substeps]
     rates, readings = np.empty_like(rows), np.empty_like(task.series.y)
     evaluate_along(
-        task.compiled.rate_value, task.compiled.output_value, rows, acting + more, read + more,
-        values, rates, readings,
+        task.compiled.rate_value, task.compiled.output_value, rows, inputs, read, values, rates,
+        readings,
     )  # fmt: skip
     return rates, readings
 
