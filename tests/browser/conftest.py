@@ -5,18 +5,14 @@ whole page, a second or two each.
 """
 
 import os
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from experiments.journeys.served import SIZE, Served, open_browser
 from spiral.view.report.pictures import find_browser as found_browser
 
 PICTURES = Path(__file__).parent / "screenshots"
-SIZE = {"width": 1366, "height": 900}
-PATIENCE = 120_000  # ms, on a machine that does other things too
 
 HARMLESS = (
     "Failed to load resource",  # a refusal that a test asks for
@@ -24,58 +20,15 @@ HARMLESS = (
 )
 
 
-class Served:
-    """The program as a person starts it."""
-
-    def __init__(self, out):
-        self.out = out
-        self.start()
-
-    def start(self):
-        command = [sys.executable, "-m", "spiral", "app", "--port", "0", "--no-browser"]
-        self.process = subprocess.Popen(
-            [*command, f"out={self.out}"], stdout=subprocess.PIPE, text=True, cwd=self.out
-        )
-        line = self.process.stdout.readline()
-        assert "http://127.0.0.1:" in line, line
-        self.entry = line.split()[2]
-        self.address, _, self.token = self.entry.partition("/?token=")
-        self.port = int(self.address.rsplit(":", 1)[1])
-
-    def enter(self, page):
-        """Give a page the cookie that opening the printed address would."""
-        page.context.add_cookies([
-            {"name": f"spiral-{self.port}", "value": self.token, "url": self.address,
-             "httpOnly": True, "sameSite": "Strict"}
-        ])  # fmt: skip
-        return page
-
-    def stop(self):
-        self.process.send_signal(signal.SIGINT)
-        try:
-            self.process.wait(15)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            raise
-
-
 @pytest.fixture(scope="session")
 def chromium(tmp_path_factory):
-    """One browser, which keeps what it has fetched and compiled, as a person's does.
-
-    Nothing in it moves (``prefers-reduced-motion``), so that nothing has to be waited for.
-    """
+    """One browser, which keeps what it has fetched and compiled, as a person's does."""
     program = found_browser()
     if program is None:
         pytest.skip("no browser: apt install chromium, or set SPIRAL_BROWSER")
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as p:
-        flags = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
-        window = p.chromium.launch_persistent_context(
-            tmp_path_factory.mktemp("profile"), executable_path=program, args=flags,
-            viewport=SIZE, reduced_motion="reduce",
-        )  # fmt: skip
-        window.set_default_timeout(PATIENCE)
+        window = open_browser(p, program, tmp_path_factory.mktemp("profile"))
         yield window
         window.close()
 

@@ -7,12 +7,10 @@ from contextlib import contextmanager, suppress
 import psutil
 import pytest
 
+from experiments.journeys import screen
+from experiments.journeys.screen import error
+
 FIRST, SECOND = "cross stiffness", "cubic stiffness"
-
-
-def error(page):
-    """The free-run error shown, in percent: now, and before anything was added."""
-    return [float(x) for x in re.findall(r"([\d.]+)\s*%", page.inner_text("#error-now"))]
 
 
 def shows(page, wanted):
@@ -23,18 +21,10 @@ def shows(page, wanted):
     assert found == wanted
 
 
-def settled(page):
-    """Wait until nothing fades in or out any more: only then has it its colours."""
-    page.wait_for_function("document.getAnimations().every(a => a.playState !== 'running')")
-
-
 def faults(page, part=None, **options):
     """What axe-core has against the page as it is, or against a part of it."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    settled(page)
-    options["resultTypes"] = ["violations"]  # not every element of what is right
-    found = axe.run(page, part, options).response["violations"]
-    return [(v["id"], [n["target"] for n in v["nodes"]]) for v in found]
+    pytest.importorskip("axe_playwright_python.sync_playwright")
+    return screen.faults(page, part, **options)
 
 
 def add(page, effect):

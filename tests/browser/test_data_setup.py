@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.browser.conftest import PATIENCE
+from experiments.journeys.screen import drag
+from experiments.journeys.served import PATIENCE
 from tests.browser.steps import choose, faults, legend, upload
 
 RATE, SAMPLES = 500.0, 3000
@@ -72,17 +73,6 @@ def mark(tab, what, use):
     tab.click(f"button:has-text('{what}')")
     tab.wait_for_function("(use) => document.getElementById('plot-columns')"
                           "?._fullLayout?.meta === use", arg=use)  # fmt: skip
-
-
-def drag(tab, first, last):
-    """Drag over a share of the picture's width."""
-    box = tab.locator("#plot-columns .nsewdrag").nth(1).bounding_box()
-    height = box["y"] + box["height"] / 2
-    tab.mouse.move(box["x"] + first * box["width"], height)
-    tab.mouse.down()
-    tab.mouse.move(box["x"] + 0.5 * (first + last) * box["width"], height, steps=5)
-    tab.mouse.move(box["x"] + last * box["width"], height, steps=5)
-    tab.mouse.up()
 
 
 def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, picture):

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from tests.browser.conftest import PATIENCE
+from experiments.journeys.served import PATIENCE
 from tests.browser.steps import error, faults
 
 NEXT = "#tour button:has-text('Add '):enabled"
