@@ -13,7 +13,7 @@ from spiral.types.system import MechanicalSystem
 
 
 class PlanarRotor(MechanicalSystem):
-    """x'' + c x' + k x = U W^2 cos t, per unit mass: what two displacement sensors see.
+    """x'' + c x' + k x = U W^2 cos(phase), per unit mass: what two displacement sensors see.
 
     The observable seed of the paper (eq. seed_rotor).
     """

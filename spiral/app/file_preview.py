@@ -120,13 +120,18 @@ def _write_columns_figure(numbers: Mapping[str, Any], table: Table, target: Path
 
 
 def _describe_systems(plugins: str | None) -> list[dict[str, Any]]:
-    """Every system known by name, with its channels and inputs; systems from files are left out."""
+    """Every system known by name, with its channels and inputs.
+
+    Those that a file defines are left out, and one that is a function of Python: nothing that is
+    clicked or typed on the page makes it more than its example.
+    """
     from spiral.io.registry import load_registry
     from spiral.io.system_files import PLUGINS
 
     registry = load_registry(plugins)
     names = [n for n in registry.names("system") if n not in PLUGINS.values()]
-    return [_describe_system(registry.make("system", n), n) for n in names]
+    known = [(registry.make("system", n), n) for n in names]
+    return [_describe_system(s, n) for s, n in known if not callable(getattr(s, "function", None))]
 
 
 def _describe_system(system: System, name: str) -> dict[str, Any]:

@@ -123,7 +123,7 @@ class FileSetup:
             others = known if one in known else [*known, one]
             setup = replace(opened.setup, others=tuple(o for o in others if o["use"]))
             if use == setups.TEST:  # a whole file is the test now, not rows of the first
-                setup = replace(setup, choice=replace(setup.choice, test_rows=()))
+                setup = replace(setup, choice=setups.without_test_rows(setup.choice, setup.rows))
             self._check_mapping(replace(opened, setup=setup))
 
     def free_file_path(self, ident: str, name: str) -> Path:

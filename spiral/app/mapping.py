@@ -30,6 +30,7 @@ _TICK = 0.2
 _NONE = "none"
 _CLOCK = "sample rate"
 _BLOCKS = "holdout_blocks=5"
+_NOTHING = "Nothing yet: what keeps this record from being read stands at the top of the page."
 
 
 @dataclass
@@ -320,6 +321,8 @@ class MappingPage:
             self._draw_quiet_warning(setup)
             ui.html(foresight_message(setup.foresight, opened.foreseeing), sanitize=False)
             draw_plan_commands(setup.foresight, setups.setup_overrides(setup))
+        elif setup.trouble:
+            ui.html(f"<p class='soft'>{_NOTHING}</p>", sanitize=False)
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._create_study)
         begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(setup.seen) and not setup.trouble)

@@ -410,6 +410,16 @@ def mark_stretch(choice: Choice, use: str, first: int, stop: int, rows: int) -> 
     return replace(choice, **{mine: (first, stop), other: had})
 
 
+def without_test_rows(choice: Choice, rows: int) -> Choice:
+    """A choice without a test stretch; a fit that only its mark made shorter has all rows again."""
+    if not choice.test_rows:
+        return choice
+    first, stop = choice.test_rows
+    marked = mark_stretch(replace(choice, fit_rows=()), TEST, first, stop, rows)
+    left = () if marked.fit_rows == choice.fit_rows else choice.fit_rows
+    return replace(choice, fit_rows=left, test_rows=())
+
+
 def _model_overrides(choice: Choice) -> list[str]:
     """Overrides for the model that a study begins with."""
     lines = []

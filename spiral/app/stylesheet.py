@@ -186,6 +186,7 @@ table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tab
 .equation td {{ border:0; padding:3px 10px 3px 0; vertical-align:middle; }}
 .equation td.owner {{ color:var(--soft); font-size:14px; }}
 .q-btn {{ text-transform:none; letter-spacing:0; font-weight:600; }}
+.q-btn__content.justify-start {{ text-align:left; }}
 .q-tab {{ text-transform:none; letter-spacing:0; min-height:40px; padding:0 5px; }}
 .q-tab__label {{ font-size:13px; font-weight:600; }}
 .q-tab-panel {{ padding:10px 0 0; }}

@@ -46,12 +46,17 @@ def registry() -> Any:
 
 @lru_cache(maxsize=512)
 def short_form(unit: str) -> str:
-    """A compact way to write a unit: ``(m/s^2)/(m)`` -> ``1/s^2``; empty where dimensionless."""
+    """A compact way to write a unit: ``(m/s^2)/(m)`` -> ``1/s^2``; empty where dimensionless.
+
+    A mass is ``kg``, whatever force and length it is the quotient of.
+    """
     if not unit:
         return ""
     parsed = _parse(unit)
     if parsed.dimensionless:
         return "rad" if unit.strip() == "rad" else ""
+    if base_form(unit) == (1.0, {"kg": 1}):
+        return "kg"
     text = f"{parsed:~C}" if hasattr(parsed, "__format__") else str(parsed)
     return text.replace("**", "^")
 

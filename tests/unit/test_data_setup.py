@@ -20,6 +20,7 @@ from spiral.app.record_setup import (
     setup_overrides,
     units_taken,
     with_setting,
+    without_test_rows,
 )
 from spiral.io.config import build_problem, build_sources, compose
 from tests.described_systems import OSCILLATOR, ROTOR
@@ -54,6 +55,13 @@ def test_the_test_alone_leaves_the_longer_side_to_the_fit():
     assert mark_stretch(Choice(), TEST, 200, 500, ROWS).fit_rows == (500, 1000)
     assert mark_stretch(Choice(), TEST, 600, 900, ROWS).fit_rows == (0, 600)
     assert mark_stretch(Choice(), FIT, 200, 500, ROWS).test_rows == ()
+
+
+def test_a_file_as_the_test_gives_back_the_rows_that_only_the_mark_of_a_test_took():
+    marked = mark_stretch(Choice(), TEST, 200, 500, ROWS)
+    assert without_test_rows(marked, ROWS) == Choice()
+    chosen = mark_stretch(mark_stretch(Choice(), FIT, 0, 400, ROWS), TEST, 600, 900, ROWS)
+    assert without_test_rows(chosen, ROWS) == Choice(fit_rows=(0, 400))
 
 
 def test_files_stretches_and_sensors_are_those_of_the_command_line(tmp_path):
