@@ -24,7 +24,7 @@ from playwright.sync_api import sync_playwright
 
 from experiments.journeys import looks, records, rotor, soak
 from experiments.journeys.person import Person
-from experiments.journeys.served import Served, open_browser
+from experiments.journeys.served import HARMLESS, Served, open_browser
 from spiral.view.report.pictures import find_browser
 
 JOURNEYS: dict[str, Callable[[Person, Served], None]] = {
@@ -60,8 +60,9 @@ def walk(person: Person, served: Served, journey: Callable[..., None]) -> None:
     except Exception:
         traceback.print_exc()
         person.note("failed", {}, traceback.format_exc(limit=-2)[-300:])
-    if wrong:
-        person.note("errors in the console", {}, "; ".join(wrong)[:300])
+    own = [w for w in wrong if not any(known in w for known in HARMLESS)]
+    if own:
+        person.note("errors in the console", {}, "; ".join(own)[:300])
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -12,7 +12,10 @@ from experiments.journeys.served import Served
 
 FILLED = "button[aria-label^='Add ']:enabled:not(.q-btn--outline)"
 CHOICE = ".choice:has-text('Rotor coastdown')"
-TABBED = "any('[role=tabpanel] .main-svg, [role=tabpanel] .equation')"
+TAKE = "button:has-text('Take away')"
+DRAWN = "[role=tabpanel] .js-plotly-plot, [role=tabpanel] .equation"
+NEW = "[role=tabpanel] .js-plotly-plot:not([data-old]) .main-svg, "
+NEW += "[role=tabpanel] .equation:not([data-old])"
 
 
 def to_the_list(person: Person, served: Served, what: str) -> None:
@@ -85,6 +88,8 @@ def branches(person: Person, served: Served) -> None:
         if page.locator(f"text={title}").count():
             person.click(f"text={title}")
             person.time(title.lower(), {"drawn": f"any('#plot-{name} .main-svg')"})
+    page.locator(TAKE).wait_for()
+    page.locator(".q-tab:has-text('Hidden states')").wait_for()
     figures(person)
     exports(person)
     plan = page.locator("button:has-text('Which test tells'):enabled")
@@ -94,25 +99,27 @@ def branches(person: Person, served: Served) -> None:
 
 
 def figures(person: Person) -> None:
-    """Each tab of figures."""
-    for title in person.page.locator(".q-tab").all_inner_texts():
-        person.page.evaluate("document.querySelector('[role=tabpanel]').replaceChildren()")
+    """Each tab of figures, the one in view last."""
+    first, *others = person.page.locator(".q-tab").all_inner_texts()
+    for title in (*others, first):
+        person.page.evaluate(f"document.querySelectorAll('{DRAWN}')"
+                             ".forEach(e => e.setAttribute('data-old', 1))")  # fmt: skip
         person.click(f".q-tab:has-text('{title}')")
-        person.time(f"tab {title}", {"drawn": TABBED})
+        person.time(f"tab {title}", {"drawn": f"any('{NEW}')"})
 
 
 def exports(person: Person) -> None:
     """Twelve files taken away, one after the other, and the whole study as ZIP."""
     page = person.page
-    take = "button:has-text('Take away')"
-    person.click(take)
+    person.click(TAKE)
+    page.locator(".q-menu .q-item").first.wait_for()
     names = page.locator(".q-menu .q-item").all_inner_texts()
     page.keyboard.press("Escape")
     page.locator(".q-menu").wait_for(state="detached")
     began = time.monotonic()
     for number, name in enumerate(names):
-        saved(person, name, take, f".q-menu .q-item >> nth={number}")
-    person.note("all of them", {"all": time.monotonic() - began})
+        saved(person, name, TAKE, f".q-menu .q-item >> nth={number}")
+    person.note(f"all {len(names)} of them", {"all": time.monotonic() - began})
     menu = "header button[aria-label^='Study ']"
     saved(person, "the whole study", menu, ".q-menu .q-item:has-text('Export the whole study')")
 

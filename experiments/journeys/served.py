@@ -12,6 +12,11 @@ from typing import Any
 
 SIZE = {"width": 1366, "height": 900}
 PATIENCE = 120_000  # ms, on a machine that does other things too
+HARMLESS = (
+    "Failed to load resource",  # a refusal that is asked for
+    "Resize must be passed a displayed plot",  # NiceGUI measures a figure that has just gone
+)
+"""Errors in the console that are none of the page's own."""
 
 
 class Served:

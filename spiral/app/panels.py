@@ -181,8 +181,11 @@ def left_out_note(wrong: Sequence[Mapping[str, str]]) -> str:
 
 
 def progress_words(what: str, words: str, lasted: float) -> str:
-    """What is under way, and the seconds that the last such step took, where that is long."""
-    said = f"{what}: {words}" if words else what
+    """What is under way, and the seconds that the last such step took, where that is long.
+
+    Labels of effects are words here as everywhere on the page.
+    """
+    said = f"{what}: {words.replace('_', ' ')}" if words else what
     return f"{said} (the last such step took {lasted:.0f} s)" if lasted >= _LONG else said
 
 

@@ -86,6 +86,8 @@ class Preset:
 def presets() -> list[Preset]:
     """The presets with the first sentence of what their files say of them; the demo's first.
 
+    Other rotors follow it, since their sentences say what differs from it.
+
     Those with a strategy of their own are left to the command line: the page adds by hand, and not
     every strategy can admit what a person chooses.
     """
@@ -96,7 +98,7 @@ def presets() -> list[Preset]:
     from spiral.io.config import PACKAGE, experiments
 
     embedded = []
-    for name in sorted(experiments(), key=lambda n: (n != "rotor_coastdown", n)):
+    for name in sorted(experiments(), key=lambda n: (not n.startswith("rotor_"), n)):
         text = (files(PACKAGE) / "experiment" / f"{name}.yaml").read_text("utf-8")
         lines = text.splitlines()
         if any(re.match(r"\s*- override /strategy: ", x) for x in lines):

@@ -117,7 +117,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}
 .card.working {{ padding:12px 20px; max-width:560px; }}
-.working .words {{ font-size:14.5px; flex:1 1 auto; min-width:0; }}
+.working .words {{ font-size:14.5px; flex:1 1 auto; min-width:0; }} .working .q-btn {{ flex:none; }}
 .choices {{ display:grid; grid-template-columns:repeat(auto-fill,minmax(250px,1fr)); gap:12px; }}
 .choice {{ text-align:left; cursor:pointer; font:inherit; color:inherit; background:var(--paper);
   border:1px solid var(--line); border-radius:10px; padding:14px 16px; display:flex;
@@ -179,7 +179,7 @@ table.plain th, table.plain td {{ padding:5px 14px 5px 0; text-align:left; verti
 table.plain td.n, table.plain th.n {{ text-align:right; font-variant-numeric:tabular-nums;
   white-space:nowrap; }}
 .wide {{ overflow-x:auto; }} #beside .wide {{ max-width:100%; }}
-#beside table.plain {{ width:auto; }}
+#beside table.plain {{ width:auto; }} #beside table.plain td:first-child {{ min-width:130px; }}
 .command {{ display:flex; align-items:start; gap:8px; background:var(--ground); padding:8px 12px; }}
 .command > :first-child {{ flex:1 1 auto; min-width:0; }}
 .command pre {{ white-space:pre-wrap; overflow-wrap:anywhere; margin:0; font-size:13.5px; }}

@@ -9,15 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments.journeys.served import SIZE, Served, open_browser
+from experiments.journeys.served import HARMLESS, SIZE, Served, open_browser
 from spiral.view.report.pictures import find_browser as found_browser
 
 PICTURES = Path(__file__).parent / "screenshots"
-
-HARMLESS = (
-    "Failed to load resource",  # a refusal that a test asks for
-    "Resize must be passed a displayed plot",  # NiceGUI measures a figure that has just gone
-)
 
 
 @pytest.fixture(scope="session")

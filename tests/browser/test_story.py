@@ -342,6 +342,8 @@ def test_a_narrow_window_scrolls_one_way_only(tab, study, picture):
     tab.set_viewport_size({"width": 390, "height": 844})
     tab.goto(study["address"])
     tab.wait_for_selector("#plot-free_run .main-svg")
+    tab.click("text=The data, and this as a command")
+    tab.wait_for_selector("main td:has-text('rad/s'):visible")
     wide = tab.evaluate(
         "document.documentElement.scrollWidth - document.documentElement.clientWidth"
     )

@@ -124,6 +124,8 @@ def test_a_step_says_how_long_the_last_of_its_kind_took(session, ident):
     said = progress_words(busy.what, "drawing", busy.lasted)
     assert said == "Adding c: drawing (the last such step took 14 s)"
     assert progress_words("Adding c", "", 0.3) == "Adding c"
+    words = "refitting with coulomb_friction (9 of 9)"
+    assert progress_words("Adding c", words, 0.3) == f"Adding c: {words.replace('_', ' ')}"
 
 
 def test_turns_of_older_files_are_a_line(session, ident, tmp_path):
