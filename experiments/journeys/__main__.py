@@ -32,6 +32,9 @@ JOURNEYS: dict[str, Callable[[Person, Served], None]] = {
 }  # fmt: skip
 
 
+NUMBERS = ("processor", "clicks", "letters", "load")
+
+
 def travel(name: str, journey: Callable[..., None], folder: Path) -> list[dict[str, Any]]:
     """Rows of one journey, with a program in an empty folder and a browser of its own."""
     program = find_browser()
@@ -42,7 +45,7 @@ def travel(name: str, journey: Callable[..., None], folder: Path) -> list[dict[s
     try:
         with sync_playwright() as playwright:
             window = open_browser(playwright, program, place / "profile")
-            person = Person(served.enter(window.pages[0]), name, folder)
+            person = Person(served.enter(window.pages[0]), served, name, folder)
             walk(person, served, journey)
             window.close()
     finally:
@@ -67,12 +70,12 @@ def walk(person: Person, served: Served, journey: Callable[..., None]) -> None:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows in Markdown."""
-    lines = ["| journey | seconds | clicks | letters | load | what was seen |",
-             "|---|---|--:|--:|--:|---|"]  # fmt: skip
+    lines = ["| journey | seconds | processor | clicks | letters | load | what was seen |",
+             "|---|---|--:|--:|--:|--:|---|"]  # fmt: skip
     for row in rows:
         told = ", ".join(f"{name} {value:g}" for name, value in row["seconds"].items())
         seen = row["seen"].replace("|", "/")[:200]
-        numbers = f"{row['clicks']} | {row['letters']} | {row['load']:.1f}"
+        numbers = " | ".join(str(row.get(k, "")) for k in NUMBERS)
         lines.append(f"| {row['journey']}: {row['what']} | {told} | {numbers} | {seen} |")
     return "\n".join(lines)
 

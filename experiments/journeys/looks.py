@@ -54,11 +54,12 @@ def looks(person: Person, served: Served) -> None:
     portrayed(person, "study")
     person.added("Add", "button[aria-label='Add cross stiffness']:enabled")
     portrayed(person, "step")
+    page.locator(".q-tab:has-text('Hidden states')").wait_for()
     opened_all(person)
     portrayed(person, "all-opened")
     panel = {"include": [[".q-tabs"], ["[role=tabpanel]"]]}
-    for title in page.locator(".q-tab").all_inner_texts()[1:]:
-        person.click(f".q-tab:has-text('{title}')")
+    for number, title in enumerate(page.locator(".q-tab").all_inner_texts()):
+        person.click(f".q-tab >> nth={number}")
         page.locator("[role=tabpanel] .main-svg, [role=tabpanel] .equation").first.wait_for()
         portrayed(person, f"tab-{title}", panel)
     page.goto(served.address)

@@ -6,10 +6,12 @@ import os
 import re
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import psutil
 from playwright.sync_api import Error
 
 _LOOKS = ((3.0, 0.02), (30.0, 0.05), (float("inf"), 0.2))
@@ -35,11 +37,15 @@ def says(selector: str, text: str) -> str:
 
 @dataclass
 class Row:
-    """A row of the table: seconds to what came into view, clicks and letters of the journey."""
+    """A row of the table: seconds to what came into view, clicks and letters of the journey.
+
+    ``processor`` are the program's processor seconds meanwhile, all its processes together.
+    """
 
     journey: str
     what: str
     seconds: Mapping[str, float]
+    processor: float
     clicks: int
     letters: int
     load: float
@@ -48,35 +54,52 @@ class Row:
 
 @dataclass
 class Person:
-    """One who clicks and types on a page; ``folder`` takes rows and pictures."""
+    """One who clicks and types on a page of a program; ``folder`` takes rows and pictures."""
 
     page: Any
+    program: Any
     journey: str
     folder: Path
     rows: list[Row] = field(default_factory=list)
     clicks: int = 0
     letters: int = 0
     began: float = 0.0
+    spent: float = 0.0
+
+    def start_clock(self) -> None:
+        """Seconds, and the program's processor seconds, count from here."""
+        self.spent, self.began = self.processor(), time.monotonic()
+
+    def processor(self) -> float:
+        """Processor seconds of the program and its processes up to now."""
+        total = 0.0
+        with suppress(psutil.Error):  # a program that has ended
+            mine = psutil.Process(self.program.process.pid)
+            for process in (mine, *mine.children(recursive=True)):
+                with suppress(psutil.Error):
+                    taken = process.cpu_times()
+                    total += taken.user + taken.system
+        return total
 
     def click(self, selector: str) -> None:
         """One click; the clock begins."""
         self.page.locator(selector).first.wait_for()
         self.clicks += 1
-        self.began = time.monotonic()
+        self.start_clock()
         self.page.locator(selector).first.click()
 
     def write(self, selector: str, text: str) -> None:
         """A click into a field and what is typed there."""
         self.clicks += 1
         self.letters += len(text)
-        self.began = time.monotonic()
+        self.start_clock()
         self.page.fill(selector, text)
 
     def drop(self, file: Path) -> None:
         """Choose a file."""
         self.clicks += 1
         self.page.locator("#drop").wait_for()
-        self.began = time.monotonic()
+        self.start_clock()
         self.page.set_input_files("#drop-file", file)
 
     def pick(self, place: str, option: str) -> None:
@@ -117,7 +140,8 @@ class Person:
         """A row of the table, and a picture of what is seen."""
         load = os.getloadavg()[0]
         short = {k: float(f"{v:.3g}") for k, v in seconds.items()}
-        row = Row(self.journey, what, short, self.clicks, self.letters, round(load, 1), seen)
+        spent = round(self.processor() - self.spent, 1)
+        row = Row(self.journey, what, short, spent, self.clicks, self.letters, round(load, 1), seen)
         self.rows.append(row)
         print(asdict(row), flush=True)
         self.picture(f"{self.journey}-{len(self.rows):02d}-{what}")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from experiments.journeys import made_files
 from experiments.journeys.person import LIST, Person, says
+from experiments.journeys.rotor import figures
 from experiments.journeys.screen import drag
 from experiments.journeys.served import Served
 
@@ -190,9 +191,7 @@ def million(person: Person, served: Served) -> None:
             continue
         compared(person, "two candidates: first figures", 900.0)
         person.added("Add", "button[aria-label='Add cubic stiffness']:enabled", limit=900.0)
-        for title in person.page.locator(".q-tab").all_inner_texts():
-            person.click(f".q-tab:has-text('{title}')")
-            person.time(f"tab {title}", {"drawn": "any('[role=tabpanel] .main-svg, .equation')"})
+        figures(person)
 
 
 def bad(person: Person, served: Served) -> None:

@@ -35,6 +35,7 @@ def rotor(person: Person, served: Served) -> None:
         began = time.monotonic()
         served.start()
         served.enter(person.page)
+        person.spent = 0.0  # the whole program is new
         person.note(f"{what}: its start", {"address": time.monotonic() - began})
         to_the_list(person, served, what)
         if what != "a later program":
@@ -100,11 +101,11 @@ def branches(person: Person, served: Served) -> None:
 
 def figures(person: Person) -> None:
     """Each tab of figures, the one in view last."""
-    first, *others = person.page.locator(".q-tab").all_inner_texts()
-    for title in (*others, first):
+    first, *others = enumerate(person.page.locator(".q-tab").all_inner_texts())
+    for number, title in (*others, first):
         person.page.evaluate(f"document.querySelectorAll('{DRAWN}')"
                              ".forEach(e => e.setAttribute('data-old', 1))")  # fmt: skip
-        person.click(f".q-tab:has-text('{title}')")
+        person.click(f".q-tab >> nth={number}")
         person.time(f"tab {title}", {"drawn": f"any('{NEW}')"})
 
 

@@ -44,7 +44,7 @@ def one_effect(person: Person, tab: Any, other: Any, number: int) -> None:
     choices = tab.locator("button[aria-label^='Add ']:enabled")
     chosen = choices.nth((7 * number) % choices.count())
     chips = tab.locator(".chip.added").count()
-    person.began = time.monotonic()
+    person.start_clock()
     chosen.click()
     ready = f"document.querySelectorAll('.chip.added').length != {chips} && ({READY})"
     person.watch({"ready": ready}, 240.0)

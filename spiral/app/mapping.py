@@ -226,7 +226,7 @@ class MappingPage:
         with ui.expansion("More: candidates, noise, the system's fields",
                           value=bool(setup.choice.more)).classes("w-full"):  # fmt: skip
             ui.textarea(
-                "One KEY=VALUE on each line, as on the command line", value=setup.choice.more,
+                "One KEY=VALUE a line, as in a terminal", value=setup.choice.more,
                 placeholder="record.noise={x: 1e-6}\nholdout=0.3",
                 on_change=lambda e: self._change_choice(more=e.value or ""),
             ).props("outlined dense debounce=900").classes("w-full")  # fmt: skip
