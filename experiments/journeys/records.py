@@ -118,8 +118,14 @@ def units_in_volts(person: Person) -> None:
     """Units typed, and the settings that the messages offer taken."""
     for name, setting in (("x", "position_unit"), ("force", "force_unit")):
         person.write(f"input[aria-label='unit of {name}']", "V")
-        person.click(f"#advice button:has-text(\"Use system.{setting}='V'\")")
-        person.page.locator(f"#advice button:has-text('{setting}')").wait_for(state="detached")
+        take_offer(person, setting)
+
+
+def take_offer(person: Person, setting: str) -> None:
+    """Take a setting that the message at the top offers."""
+    offer = f"#advice button:has-text('{setting}')"
+    person.click(offer)
+    person.page.locator(offer).first.wait_for(state="detached")
 
 
 def volts(person: Person, served: Served) -> None:
@@ -156,17 +162,13 @@ def pendulum(person: Person, served: Served) -> None:
     for unit in ("", "N*m"):
         person.clicks = person.letters = 0
         dropped(person, served, data("dfki_simple_pendulum/sysid_data_measured.csv"), "pendulum")
-        if not person.page.locator("[data-for='theta'] .q-select:has-text('position')").count():
-            person.pick("[data-for='theta']", "position")
-        person.page.wait_for_timeout(1500)  # what was typed has been read
-        for _ in range(2 if unit else 1):  # even steps, a torque in its unit: as offered
-            offer = person.page.locator("#advice button").first
-            offer.wait_for()
-            said = offer.inner_text()
-            person.click(f'#advice button:has-text("{said}")')
-            person.page.locator(f'#advice button:has-text("{said}")').wait_for(state="detached")
+        place = "[data-for='theta']"
+        if not person.page.locator(f"{place} .q-select:has-text('position')").count():
+            person.pick(place, "position")
         if unit:
             person.write("input[aria-label='unit of torque']", unit)
+            take_offer(person, "torque_unit")
+        take_offer(person, "record.resample")
         person.time(
             f"torque in {unit or 'no unit'}: understood", UNDERSTOOD, "#units-taken", limit=60.0
         )
