@@ -182,9 +182,10 @@ class Person:
         return " ".join(said.split())[:400]
 
     def picture(self, name: str) -> None:
-        """A picture of the whole page."""
+        """A picture of the whole page; none where the browser does not give one in time."""
         plain = re.sub(r"[^\w.]+", "-", name)[:80]
         target = self.folder / "pictures" / f"{plain}.png"
         target.parent.mkdir(parents=True, exist_ok=True)
         self.page.evaluate("scrollTo(0, 0)")  # else the bar at the top lies across the middle
-        self.page.screenshot(path=target, full_page=True)
+        with suppress(Error):
+            self.page.screenshot(path=target, full_page=True, timeout=20_000)

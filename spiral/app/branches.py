@@ -61,9 +61,11 @@ def _draw_branch_entry(scene: LiveStudy, turn: StudyState, move: Move) -> None:
     said = f"+ {panels.label_words(turn.added)}" if turn.added else "the model as it was"
     shown = f"{said}: {error_percent(error)}"
     with ui.element("li"):
-        entry = ui.button(shown, on_click=lambda: move(turn.serial)).props("flat dense align=left")
-        entry.set_enabled(scene.busy is None and not here)
+        entry = ui.button(shown).props("flat dense align=left")
+        entry.set_enabled(scene.busy is None or here)  # the one looked at is not greyed
         if here:
             entry.props('aria-current="step"').classes("here")
-        elif any(t.serial == turn.serial for t in study.line):
+            return
+        entry.on_click(lambda: move(turn.serial))
+        if any(t.serial == turn.serial for t in study.line):
             entry.classes("on-line")

@@ -86,8 +86,10 @@ class MappingPage:
             ("model", self._draw_model, (told, setup.choice.without, setup.choice.effects)),
             ("reading", self._draw_reading, setup.reading),
             ("records", self._draw_records, (bool(columns), setup.others)),
-            ("seen", self._draw_summary, (setup.seen, setup.choice, opened.busy, setup.trouble,
-                                  setup.foresight, opened.foreseeing)),
+            ("seen", self._draw_summary, (setup.seen, setup.choice, setup.trouble,
+                                  bool(setup.systems))),
+            *([("forecast", self._draw_forecast, (setup.foresight, opened.foreseeing))]
+              if setup.systems else []),
         ]  # fmt: skip
 
     def _draw_state(self, opened: OpenFile) -> None:
@@ -319,13 +321,20 @@ class MappingPage:
             ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",
                     sanitize=False)  # fmt: skip
             self._draw_quiet_warning(setup)
-            ui.html(foresight_message(setup.foresight, opened.foreseeing), sanitize=False)
-            draw_plan_commands(setup.foresight, setups.setup_overrides(setup))
         elif setup.trouble:
             ui.html(f"<p class='soft'>{_NOTHING}</p>", sanitize=False)
+        self.regions["forecast"] = ui.element("div").style("width:100%")
+        self.drawn.pop("forecast", None)
         begin = ui.button("Compare with the model", icon="play_arrow", on_click=self._create_study)
         begin.props("unelevated color=primary").style("margin-top:12px")
         begin.set_enabled(bool(setup.seen) and not setup.trouble)
+
+    def _draw_forecast(self, opened: OpenFile) -> None:
+        """What the record can tell apart: it comes later, and must not replace the button below."""
+        setup = opened.setup
+        if setup.seen and not setups.missing_choices(setup):
+            ui.html(foresight_message(setup.foresight, opened.foreseeing), sanitize=False)
+            draw_plan_commands(setup.foresight, setups.setup_overrides(setup))
 
     def _draw_quiet_warning(self, setup: RecordSetup) -> None:
         """A warning where the test record hardly moves, and another split with one click."""

@@ -97,7 +97,8 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
 .branches, .branches ul {{ list-style:none; margin:2px 0 0; padding:0; }}
 .branches ul {{ padding-left:14px; border-left:2px solid var(--line); margin-left:6px; }}
 .branches .q-btn {{ font-weight:500; text-align:left; }}
-.branches .here {{ font-weight:700; opacity:1 !important; }}
+.branches .here {{ cursor:default; }} .branches .here .q-btn__content {{ font-weight:700;
+  color:var(--ink); }}
 .branches .on-line {{ font-weight:650; }}
 .order {{ margin:0 0 8px; }} .gone {{ margin-top:6px; font-size:13.5px; }}
 #horizons {{ margin-top:12px; }} #horizons td, #horizons th {{ padding-right:8px; }}
