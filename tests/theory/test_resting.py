@@ -46,7 +46,7 @@ def _record(samples=200):
 
 
 def test_hidden_states_rest_where_their_rates_vanish(reactor):
-    system, compiled, values = reactor
+    _, compiled, values = reactor
     hidden = hidden_of_first_order(compiled.traced)
     assert [compiled.traced.states[i] for i in hidden] == ["c"]
     start, inputs = np.array([1.1, 0.0, 600.0]), np.zeros(len(compiled.traced.u))
@@ -57,7 +57,7 @@ def test_hidden_states_rest_where_their_rates_vanish(reactor):
 
 def test_the_rest_state_does_not_depend_on_what_memory_held_before(reactor, monkeypatch):
     """The slopes of a model are written where they are not zero; the others must be zero."""
-    system, compiled, values = reactor
+    _, compiled, values = reactor
     start, inputs = np.array([1.0, 0.0, 600.0]), np.zeros(len(compiled.traced.u))
     clean = find_rest_state(compiled, values, start, inputs, [0, 1, 2])
     monkeypatch.setattr(resting.np, "empty", lambda shape: np.full(shape, 1e9))
