@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -254,10 +254,12 @@ def _trajectory(
     def to_next(x: Any, parts: Any) -> Any:
         readings = equations.readings(x, stages(parts, 0), p)
         steps = [[stages(parts, 2 * k + j) for j in range(3)] for k in range(grid.substeps)]
-        stacked = _stack(numpy, steps)
-        later, _ = lax.scan(advance, x, stacked, grid.substeps, unroll=grid.together)
-        gone = numpy.logical_not(numpy.all(numpy.abs(numpy.stack(later)) <= _RUNAWAY))
-        return tuple(numpy.where(gone, numpy.nan, v) for v in later), (x, readings)
+        if grid.together == grid.substeps:
+            later = reduce(lambda state, u: advance(state, u)[0], steps, x)
+        else:
+            later, _ = lax.scan(advance, x, _stack(numpy, steps), unroll=grid.together)
+        within = reduce(numpy.logical_and, [numpy.abs(v) <= _RUNAWAY for v in later])
+        return tuple(numpy.where(within, v, numpy.nan) for v in later), (x, readings)
 
     return lax.scan(to_next, start, inputs, grid.samples)[1]
 
