@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from spiral.inference.identifiability.identify import Identification
     from spiral.inference.plan import Plan
     from spiral.inference.reconstruction.estimate import Estimation
+    from spiral.types.batch import Batch
 
 Named = str | Mapping[str, Any]
 Physics = Named | System | Model | Run
@@ -120,6 +121,46 @@ def simulate(
             else np.broadcast_to(np.asarray(wanted, float), time.shape).copy()
         )
     return integrated(truth, time, series, noise_level, noise, start)
+
+
+def simulate_batch(
+    system: Physics,
+    duration: float,
+    rate: float,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    values: Mapping[str, Any] | None = None,
+    effects: Sequence[str | Effect] = (),
+    start: Mapping[str, Any] | None = None,
+    slopes: Sequence[str] = (),
+    device: str | None = None,
+    plugins: Plugins = None,
+) -> Batch:
+    """Many noise-free motions of a model at once, by JAX: on a graphics card, or on processors.
+
+    Each is the motion that ``simulate`` gives, with the same equations and integration steps, in
+    double precision. Needs the extra ``gpu``.
+
+    Parameters
+    ----------
+    duration, rate : s, and samples per s.
+    inputs : input -> (samples,) for all alike, or (simulations, samples), in the system's unit.
+    values, start : parameters by full name, initial states: a number, or one for each simulation.
+    slopes : parameters, and states whose starts are meant, that readings are differentiated by.
+    device : ``cpu``, ``gpu``, ``gpu:1``; left out, JAX's first.
+
+    Raises
+    ------
+    ConfigError : JAX or the device is absent, an unknown name, shapes that do not fit.
+    PluginError : an equation that JAX cannot run, as of an FMU.
+    """
+    import numpy as np
+
+    from spiral.inference.simulate_batch import simulate_batch as step
+
+    model = _model(system, _registry(plugins), effects)
+    time = np.arange(round(duration * rate)) / rate
+    return step(model, time, inputs or {}, values, start, slopes, device)
 
 
 # --- the main job --------------------------------------------------------------------------------

@@ -282,18 +282,26 @@ def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
     They are half as far apart, down to two samples, as long as the spline misses more of the
     values than twice their noise.
     """
+    return rates_per_sample(values[:, None], coarse, fine)[:, 0]
+
+
+def rates_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
+    """``rate_per_sample`` of every column of values (samples, columns): (fine, columns)."""
     from scipy.interpolate import make_lsq_spline
 
-    noise = (
-        estimate_noise(values) if len(values) > 12 else 0.0
-    )  # the estimate is of high-order differences
-    most = max(2.0 * noise, 1e-6 * np.std(values))
-    spacing = SPEED_RATE_KNOTS
-    while True:
-        inner = np.linspace(coarse[0], coarse[-1], max(1, len(values) // spacing) + 1)[1:-1]
+    noise = np.array(  # the estimate is of high-order differences
+        [estimate_noise(v) if len(coarse) > 12 else 0.0 for v in values.T]
+    )
+    most = np.maximum(2.0 * noise, 1e-6 * np.std(values, axis=0))
+    spacing, rates = SPEED_RATE_KNOTS, np.empty((len(fine), values.shape[1]))
+    left = np.arange(values.shape[1])
+    while left.size:
+        inner = np.linspace(coarse[0], coarse[-1], max(1, len(coarse) // spacing) + 1)[1:-1]
         knots = np.concatenate([[coarse[0]] * 4, inner, [coarse[-1]] * 4])
-        curve = make_lsq_spline(coarse, values, knots, k=3, method="norm-eq")
-        missed = np.sqrt(np.mean((values - curve(coarse)) ** 2))
-        if missed <= most or spacing <= 2:
-            return curve.derivative()(fine)
-        spacing //= 2
+        curve = make_lsq_spline(coarse, values[:, left], knots, k=3, method="norm-eq")
+        missed = np.sqrt(np.mean((values[:, left] - curve(coarse)) ** 2, axis=0))
+        done = (missed <= most[left]) | (spacing <= 2)
+        if done.any():
+            rates[:, left[done]] = curve.derivative()(fine)[:, done]
+        left, spacing = left[~done], spacing // 2
+    return rates

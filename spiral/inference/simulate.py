@@ -16,7 +16,7 @@ from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.record import Array, Record, make_record
 
-_SUBSTEPS = 8
+SUBSTEPS = 8  # integration steps per sample
 
 
 def simulate(
@@ -27,7 +27,7 @@ def simulate(
     rng: np.random.Generator | None = None,
     start: Mapping[str, float] | None = None,
     name: str = "simulated",
-    substeps: int = _SUBSTEPS,
+    substeps: int = SUBSTEPS,
 ) -> Record:
     """Integrate x' = f(x, u, p) by classical Runge-Kutta and read the sensors.
 
@@ -62,7 +62,7 @@ def integrate(
     time: Array,
     inputs: Mapping[str, Array],
     start: Mapping[str, float] | None = None,
-    substeps: int = _SUBSTEPS,
+    substeps: int = SUBSTEPS,
 ) -> tuple[Array, Array]:
     """Noise-free states (samples, n) and readings (samples, channels)."""
     compiled = compile_model(trace(model.system, model.effects))
