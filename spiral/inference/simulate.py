@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.kernel import trajectories
-from spiral.engine.series import stage_inputs
+from spiral.engine.resting import state_jacobian
+from spiral.engine.series import stable_steps, stage_inputs
 from spiral.engine.start import fill_like_states
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -40,7 +41,7 @@ def simulate(
         declares it.
     start : initial states by name; zero where not named, but an effect's own state that follows a
         sensor or an input (``like``) begins at what is there.
-    substeps : integration steps per sample.
+    substeps : integration steps per sample, or more where the model is stiff at its start.
 
     Raises
     ------
@@ -81,6 +82,9 @@ def integrate(
     stepped = stage_inputs(model.system, frame, substeps)
     known = {s.name for s in model.system.states} | set(start or {})
     fill_like_states(compiled.traced, x, stepped[0], known=known)
+    modes = np.linalg.eigvals(state_jacobian(compiled, values, stepped.mean(axis=0), x))
+    if (needed := stable_steps(modes, frame.dt)) > substeps:
+        substeps, stepped = needed, stage_inputs(model.system, frame, needed)
     states = np.empty((len(time), len(x)))
     readings = np.empty((len(time), len(model.system.observed)))
     ok = trajectories(

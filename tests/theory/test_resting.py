@@ -84,6 +84,14 @@ def test_a_stiff_model_is_integrated_stably(reactor):
     assert np.abs(runs[1] - runs[0]).max() < 1e-5 * np.std(runs[1], axis=0).min()
 
 
+def test_a_stiff_model_is_simulated(reactor):
+    time = np.arange(200) * STEP
+    rho = 2e-4 * np.sin(2 * np.pi * time / 900)
+    start = {"n": 1.0, "c": 81.25, "T": 600.0}
+    record = spiral.simulate(reactor[0], 200 * STEP, 1 / STEP, inputs={"rho": rho}, start=start)
+    assert 0.5 < record.channels["n"].min() < record.channels["n"].max() < 2.0
+
+
 def test_steps_for_stability_are_those_of_decay_and_swing_not_of_growth():
     assert stable_steps(np.array([-6.5]), 20.0) == 65
     assert stable_steps(np.array([100j, -100j]), 1.0) == 50
