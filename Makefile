@@ -108,6 +108,8 @@ bench: warm ## Measure speed (benchmarks/)
 	@$(BIN)/python benchmarks/run.py
 	@echo "bench: benchmarks/sweep.py"
 	@$(BIN)/python benchmarks/sweep.py
+	@echo "bench: benchmarks/batch.py"
+	@$(BIN)/python benchmarks/batch.py
 	@echo "bench: benchmarks/scaling.py"
 	@$(BIN)/python benchmarks/scaling.py
 

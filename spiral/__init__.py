@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         read,
         report,
         simulate,
+        simulate_batch,
     )
     from spiral.io.own_model import structure, system
     from spiral.io.registry import Registry
@@ -75,6 +76,7 @@ __all__ = [
     "read",
     "report",
     "simulate",
+    "simulate_batch",
     "structure",
     "system",
 ]

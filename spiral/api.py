@@ -7,7 +7,7 @@ A plugin is given by its name (``"oscillator"``), by its name with fields (``{"n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from spiral.inference.identifiability.identify import Identification
     from spiral.inference.plan import Plan
     from spiral.inference.reconstruction.estimate import Estimation
+    from spiral.types.batch import Batch
 
 Named = str | Mapping[str, Any]
 Physics = Named | System | Model | Run
@@ -120,6 +121,46 @@ def simulate(
             else np.broadcast_to(np.asarray(wanted, float), time.shape).copy()
         )
     return integrated(truth, time, series, noise_level, noise, start)
+
+
+def simulate_batch(
+    system: Physics,
+    duration: float,
+    rate: float,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    values: Mapping[str, Any] | None = None,
+    effects: Sequence[str | Effect] = (),
+    start: Mapping[str, Any] | None = None,
+    slopes: Sequence[str] = (),
+    device: str | None = None,
+    plugins: Plugins = None,
+) -> Batch:
+    """Many noise-free motions of a model at once, by JAX: on a graphics card, or on processors.
+
+    Each is the motion that ``simulate`` gives, with the same equations and integration steps, in
+    double precision. Needs the extra ``gpu``.
+
+    Parameters
+    ----------
+    duration, rate : s, and samples per s.
+    inputs : input -> (samples,) for all alike, or (simulations, samples), in the system's unit.
+    values, start : parameters by full name, initial states: a number, or one for each simulation.
+    slopes : parameters, and states whose starts are meant, that readings are differentiated by.
+    device : ``cpu``, ``gpu``, ``gpu:1``; left out, JAX's first.
+
+    Raises
+    ------
+    ConfigError : JAX or the device is absent, an unknown name, shapes that do not fit.
+    PluginError : an equation that JAX cannot run, as of an FMU.
+    """
+    import numpy as np
+
+    from spiral.inference.simulate_batch import simulate_batch as step
+
+    model = _model(system, _registry(plugins), effects)
+    time = np.arange(round(duration * rate)) / rate
+    return step(model, time, inputs or {}, values, start, slopes, device)
 
 
 # --- the main job --------------------------------------------------------------------------------
@@ -300,7 +341,7 @@ _ASKED = ("test", "holdout", "holdout_blocks", "settle", "candidates", "strategy
 
 def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Problem:
     """The ``Problem`` that a function's arguments describe."""
-    registry = _registry(choices.pop("plugins", None))
+    registry, records = _registry(choices.pop("plugins", None)), _records(record)
     own = {k: choices.pop(k) for k in _MODEL if k in choices}
     asked = {k: choices.pop(k) for k in _ASKED if k in choices}
     levels = choices.pop("settings", {})
@@ -312,7 +353,7 @@ def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Prob
     if "strategy" in asked:
         asked["strategy"] = _plugin("strategy", asked["strategy"], registry)
     return problem_setup.pose_problem(
-        registry, _model(physics, registry, **own), _records(record),
+        registry, _model(physics, registry, **own), records,
         None if test is None else _records(test), settings=settings, **asked,
     )  # fmt: skip
 
@@ -331,7 +372,23 @@ def _registry(given: Plugins) -> Registry:
 
 
 def _records(given: Records) -> tuple[Record, ...]:
-    return (given,) if isinstance(given, Record) else tuple(given)
+    """One record or several.
+
+    Raises
+    ------
+    ConfigError : what is none: a system where the arguments were exchanged, the path of a file.
+    """
+    records = (given,) if isinstance(given, Record) or not isinstance(given, Iterable) else given
+    records = (records,) if isinstance(records, str | Mapping) else tuple(records)
+    for one in records:
+        if not isinstance(one, Record):
+            raise ConfigError(
+                f"a {type(one).__name__} where a record belongs",
+                "a Record or several, as spiral.read gives them",
+                "the record first, then the system: spiral.discover(record, system); "
+                'a file: spiral.read("FILE", system)',
+            )
+    return records
 
 
 def _plugin(kind: str, given: Any, registry: Registry) -> Any:
@@ -347,7 +404,13 @@ def _plugin(kind: str, given: Any, registry: Registry) -> Any:
 def _system(given: Physics, registry: Registry) -> System:
     if isinstance(given, Run):
         return given.model.system
-    return given.system if isinstance(given, Model) else _plugin("system", given, registry)
+    made = given.system if isinstance(given, Model) else _plugin("system", given, registry)
+    if not isinstance(made, System):
+        raise ConfigError(
+            f"a {type(made).__name__} where a system belongs",
+            "a system's name, the file of its equations, or what spiral.system(...) makes",
+        )
+    return made
 
 
 def _model(

@@ -61,7 +61,7 @@ def effect_overrides(name: str, formula: str, values: str = "") -> list[str]:
 
 def example_formula(system: System) -> dict[str, Any]:
     """A formula that works on a system, and what a formula may name there, in words."""
-    from spiral.physics.formulas.place import EACH_AXIS, place_of
+    from spiral.physics.formulas.place import place_of
 
     at = place_of(system)
     inputs = [name for name, _ in at.inputs]
@@ -71,8 +71,8 @@ def example_formula(system: System) -> dict[str, Any]:
         return {"formula": text, "names": [("states", states), ("inputs", inputs)]}
     axes = [name for name, _ in at.positions]
     named = [("displacements", axes), ("velocities", [f"{a}_rate" for a in axes]),
-             ("of the axis at hand", list(EACH_AXIS)), ("inputs", inputs)]  # fmt: skip
-    return {"formula": "-k3*q**3", "names": [(k, v) for k, v in named if v]}
+             ("of the axis at hand", list(at.at_hand)), ("inputs", inputs)]  # fmt: skip
+    return {"formula": f"-k3*{at.at_hand[0]}**3", "names": [(k, v) for k, v in named if v]}
 
 
 def _strip_assignment(text: str, key: str) -> str:

@@ -20,8 +20,10 @@ SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is t
 
 _MOST_PIECES = 60
 MOST_SUBSTEPS = 32
+_MOST_STABLE = 512  # the same where a mode would else be unstable
 _ADVANCE = 0.3  # rad, largest advance of a mode per integration step
 _STABLE_ADVANCE = 1.0  # the same of modes that need be stable only
+_LARGEST_ADVANCE = 2.0  # the same beyond ``MOST_SUBSTEPS``
 _SMOOTH = 11  # samples of the local cubics that say how large a reading is
 
 
@@ -190,14 +192,23 @@ def steps_per_sample(eigenvalues: Array, dt: float, exact_to: float = np.inf) ->
     A mode advances by 0.3 rad a step at most. Others have to be stable (2.8 is the limit of the
     classical method), not precise: one that is gone within a sample (real part below -1 / dt) and
     beyond what the samples can show (pi), which follows the others, and one above the frequency
-    ``exact_to``, Hz, up to which a system's equations hold.
+    ``exact_to``, Hz, up to which a system's equations hold. Precision takes ``MOST_SUBSTEPS`` at
+    most; stability of modes that decay (2 rad a step), as many as it needs.
     """
     advance = np.abs(eigenvalues) * dt
     precise, stable = advance / _ADVANCE, advance / _STABLE_ADVANCE
     gone = (np.real(eigenvalues) * dt < -1.0) & (advance > np.pi)
     seen = np.where(gone, np.maximum(np.pi / _ADVANCE, stable), precise)
     seen = np.where(np.abs(eigenvalues) > 2 * np.pi * exact_to, stable, seen)
-    return int(np.clip(np.ceil(np.max(seen, initial=0.0)), 1, MOST_SUBSTEPS))
+    precise_steps = np.clip(np.ceil(np.max(seen, initial=0.0)), 1, MOST_SUBSTEPS)
+    return int(max(precise_steps, stable_steps(eigenvalues, dt)))
+
+
+def stable_steps(eigenvalues: Array, dt: float) -> int:
+    """Runge-Kutta steps per sample without which a mode that decays or swings would grow."""
+    swings = np.real(eigenvalues) <= 0
+    fastest = np.max(np.abs(eigenvalues), where=swings, initial=0.0) * dt
+    return int(np.clip(np.ceil(fastest / _LARGEST_ADVANCE), 1, _MOST_STABLE))
 
 
 def stage_inputs(system: System, record: Record, substeps: int) -> Array:
@@ -271,18 +282,26 @@ def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
     They are half as far apart, down to two samples, as long as the spline misses more of the
     values than twice their noise.
     """
+    return rates_per_sample(values[:, None], coarse, fine)[:, 0]
+
+
+def rates_per_sample(values: Array, coarse: Array, fine: Array) -> Array:
+    """``rate_per_sample`` of every column of values (samples, columns): (fine, columns)."""
     from scipy.interpolate import make_lsq_spline
 
-    noise = (
-        estimate_noise(values) if len(values) > 12 else 0.0
-    )  # the estimate is of high-order differences
-    most = max(2.0 * noise, 1e-6 * np.std(values))
-    spacing = SPEED_RATE_KNOTS
-    while True:
-        inner = np.linspace(coarse[0], coarse[-1], max(1, len(values) // spacing) + 1)[1:-1]
+    noise = np.array(  # the estimate is of high-order differences
+        [estimate_noise(v) if len(coarse) > 12 else 0.0 for v in values.T]
+    )
+    most = np.maximum(2.0 * noise, 1e-6 * np.std(values, axis=0))
+    spacing, rates = SPEED_RATE_KNOTS, np.empty((len(fine), values.shape[1]))
+    left = np.arange(values.shape[1])
+    while left.size:
+        inner = np.linspace(coarse[0], coarse[-1], max(1, len(coarse) // spacing) + 1)[1:-1]
         knots = np.concatenate([[coarse[0]] * 4, inner, [coarse[-1]] * 4])
-        curve = make_lsq_spline(coarse, values, knots, k=3, method="norm-eq")
-        missed = np.sqrt(np.mean((values - curve(coarse)) ** 2))
-        if missed <= most or spacing <= 2:
-            return curve.derivative()(fine)
-        spacing //= 2
+        curve = make_lsq_spline(coarse, values[:, left], knots, k=3, method="norm-eq")
+        missed = np.sqrt(np.mean((values[:, left] - curve(coarse)) ** 2, axis=0))
+        done = (missed <= most[left]) | (spacing <= 2)
+        if done.any():
+            rates[:, left[done]] = curve.derivative()(fine)[:, done]
+        left, spacing = left[~done], spacing // 2
+    return rates

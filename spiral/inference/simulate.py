@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.kernel import trajectories
-from spiral.engine.series import stage_inputs
+from spiral.engine.resting import state_jacobian
+from spiral.engine.series import stable_steps, stage_inputs
 from spiral.engine.start import fill_like_states
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -16,7 +17,7 @@ from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.record import Array, Record, make_record
 
-_SUBSTEPS = 8
+SUBSTEPS = 8  # integration steps per sample
 
 
 def simulate(
@@ -27,7 +28,7 @@ def simulate(
     rng: np.random.Generator | None = None,
     start: Mapping[str, float] | None = None,
     name: str = "simulated",
-    substeps: int = _SUBSTEPS,
+    substeps: int = SUBSTEPS,
 ) -> Record:
     """Integrate x' = f(x, u, p) by classical Runge-Kutta and read the sensors.
 
@@ -40,7 +41,7 @@ def simulate(
         declares it.
     start : initial states by name; zero where not named, but an effect's own state that follows a
         sensor or an input (``like``) begins at what is there.
-    substeps : integration steps per sample.
+    substeps : integration steps per sample, or more where the model is stiff at its start.
 
     Raises
     ------
@@ -62,7 +63,7 @@ def integrate(
     time: Array,
     inputs: Mapping[str, Array],
     start: Mapping[str, float] | None = None,
-    substeps: int = _SUBSTEPS,
+    substeps: int = SUBSTEPS,
 ) -> tuple[Array, Array]:
     """Noise-free states (samples, n) and readings (samples, channels)."""
     compiled = compile_model(trace(model.system, model.effects))
@@ -81,6 +82,9 @@ def integrate(
     stepped = stage_inputs(model.system, frame, substeps)
     known = {s.name for s in model.system.states} | set(start or {})
     fill_like_states(compiled.traced, x, stepped[0], known=known)
+    modes = np.linalg.eigvals(state_jacobian(compiled, values, stepped.mean(axis=0), x))
+    if (needed := stable_steps(modes, frame.dt)) > substeps:
+        substeps, stepped = needed, stage_inputs(model.system, frame, needed)
     states = np.empty((len(time), len(x)))
     readings = np.empty((len(time), len(model.system.observed)))
     ok = trajectories(

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.task import state_jacobian
 from spiral.engine.growth import Stage
+from spiral.engine.resting import state_jacobian
 from spiral.engine.sensitivities import residuals
 from spiral.engine.threads import one_blas_thread
 from spiral.inference.evidence.assembly import (

@@ -63,6 +63,8 @@ def mathml(model: Model) -> list[dict[str, Any]]:
         rate = item.left.endswith("'")
         name = f"{item.left[:-1]}_rate" if rate else item.left
         left = _dotted_symbol(printer, name) if rate else _text_element(printer, "mtext", name)
+        if item.inertia is not None:
+            left = printer._print(item.inertia)
         terms = [
             {"owner": term.owner or "system", "math": _signed_term(printer, term.value)}
             for term in item.terms

@@ -133,6 +133,10 @@ def test_figures_and_report_are_functions_of_a_run(run, tmp_path):
     (lambda r: spiral.read("nowhere.csv", "oscillator"), "nowhere.csv"),
     (lambda r: spiral.simulate("oscillator", 1.0, 100.0, inputs={"forc": 0.0}), "'force'"),
     (lambda r: spiral.export(spiral.Model, "latx"), "'latex'"),
+    (lambda r: spiral.discover("oscillator", r), "the record first"),
+    (lambda r: spiral.discover([r, 3.0], "oscillator"), "a float where a record belongs"),
+    (lambda r: spiral.discover("record.csv", "oscillator"), "spiral.read("),
+    (lambda r: spiral.discover(r, r), "a Record where a system belongs"),
 ])  # fmt: skip
 def test_a_wrong_choice_is_refused_in_words(record, call, hint):
     with pytest.raises(SpiralError) as error:

@@ -117,6 +117,15 @@ def test_the_page_about_robots_runs(tmp_path, monkeypatch):
     assert found["rounds"][1]["admitted"] == ["coulomb_friction@elbow"]
 
 
+def test_the_page_about_many_simulations_runs(tmp_path, monkeypatch):
+    """Intervals of a bootstrap hold the truth about as often as they say (300 each: +- 4 %)."""
+    pytest.importorskip("jax", reason="JAX is not installed (the extra gpu)")
+    monkeypatch.chdir(tmp_path)
+    names = _followed("batch.md")
+    assert np.all(np.abs(names["covered"] - 0.95) < 0.04)
+    assert names["batch"].jacobian.shape == (300, 1200, 1, 3)
+
+
 def test_fields_of_a_record_that_pages_name_are_there():
     """In the README and the how-to pages; ``test.settle`` and the group itself are no fields."""
     from spiral.io.registry import load_registry

@@ -7,7 +7,9 @@ import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import spiral
 from spiral.physics.formulas.expression import effect_from_expression
+from spiral.physics.formulas.laws import laws_of
 from spiral.physics.formulas.syntax import compute, names, read
 from spiral.physics.rest import _evaluate_traced_at_rest, _is_all_finite
 from spiral.physics.trace import trace
@@ -158,3 +160,26 @@ def test_one_definition_is_one_class():
     other = effect_from_expression("own", "-k*x**5", OSCILLATOR)
     assert one == same == pickle.loads(pickle.dumps(one))
     assert one != other
+
+
+CART = {
+    "equations": ["m*q'' + k*(q - w) = F", "M*w'' + k*(w - q) = c*v"],
+    "states": {"q": "m", "w": "m"}, "inputs": {"F": "N", "v": "m/s"},
+    "parameters": {"m": "2 kg", "M": "3 kg", "k": "400 N/m", "c": "5 N*s/m"},
+    "observed": ["q", "w"],
+}  # fmt: skip
+
+
+def test_names_of_the_system_come_before_those_of_the_axis_at_hand():
+    """A bicycle's speed v is an input; its laws of friction are laws of the rate all the same."""
+    cart = spiral.system(CART)
+    wind = effect_from_expression("wind", "-b*v", cart, port="w")
+    drag = effect_from_expression("drag", "-b*axis_velocity", cart, port="w")
+    assert (wind.inputs, drag.inputs) == (("v",), ())
+    pushed = [trace(cart, (e,)) for e in (wind, drag)]
+    speed, rate = pushed[0].u[1], pushed[0].x[3]
+    b = pushed[0].p[-1]
+    assert pushed[0].inputs[1] == "v"
+    assert [t.rate[3].diff(b).free_symbols & {speed, rate} for t in pushed] == [{speed}, {rate}]
+    laws = [law for law in laws_of(cart) if law.plugin_name() == "tanh_friction_law"]
+    assert {text for law in laws for _, text in law.formulas} == {"-a*tanh(axis_velocity/l)"}

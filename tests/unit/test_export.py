@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import sympy as sp
 
+import spiral
 from spiral.io.export.equation import equation_latex, equation_text, model_equations
+from spiral.io.mathml import mathml
 from spiral.io.registry import load_registry
 from spiral.physics.trace import trace
 from spiral.types.model import Model, seed_model
@@ -60,6 +62,55 @@ def test_terms_add_up_to_what_is_integrated(system):
         exact = float(rows[names.index(name)].xreplace(at))
         total = sum(float(t.value.xreplace(named)) for t in item.terms)
         assert total == pytest.approx(exact, rel=1e-9)
+
+
+TWO_CLOCKS = {
+    "equations": [
+        "m*l^2*a'' + m*l*cos(a)*x'' + m*g*l*sin(a) = 0",
+        "(M + m)*x'' + m*l*cos(a)*a'' - m*l*a'^2*sin(a) + k*x = F",
+        "tau*q' = F - q",
+    ],
+    "states": {"a": "rad", "x": "m", "q": "N"}, "inputs": {"F": "N"},
+    "constants": {"g": "9.81 m/s^2"},
+    "parameters": {"m": "1.5 kg", "l": "0.4 m", "M": "12 kg", "k": "1700 N/m", "tau": "0.2 s"},
+    "observed": ["a", "x"],
+}  # fmt: skip
+
+
+def test_coupled_accelerations_are_shown_as_a_balance_of_forces():
+    system = spiral.system(TWO_CLOCKS)
+    model = seed_model(system, (REGISTRY.effect_from_label("coulomb_friction@a"),), values={
+        "coulomb_friction@a.level": 0.03, "coulomb_friction@a.width": 0.1})  # fmt: skip
+    lines = [re.sub(r" {2,}", " | ", line.strip()) for line in equation_text(model).splitlines()]
+    assert lines == [
+        "0.24 a'' + 0.6 x'' cos(a)", "= - 5.886 sin(a) | system",
+        "- 0.03 tanh(10 a') | coulomb_friction@a",
+        "13.5 x'' + 0.6 a'' cos(a)", "= F - 1700 x + 0.6 a'² sin(a) | system",
+        "q' = 5 F - 5 q | system",
+    ]  # fmt: skip
+    assert r"0.24\,\ddot{a} + 0.6\,\ddot{x}\,\cos{\left(a \right)} &=" in equation_latex(model)
+    assert mathml(model)[0]["left"].count("¨") == 2
+
+
+def test_the_balance_of_forces_is_what_is_integrated():
+    system = spiral.system(TWO_CLOCKS)
+    damper = REGISTRY.effect_from_label("linear_damping@x")
+    model = seed_model(system, (damper,), values={"linear_damping@x.damping": 0.3})
+    found, traced = model_equations(model)
+    rows = [item for item in found if item.inertia is not None]
+    balance = [sum(t.value for t in item.terms) - item.inertia for item in rows]
+    solved = sp.solve(
+        balance, [sp.Symbol("a_rate_rate", real=True), sp.Symbol("x_rate_rate", real=True)]
+    )
+    pairs = [*zip(traced.states, traced.x, strict=True), *zip(traced.inputs, traced.u, strict=True)]
+    numbers = {name: 0.2 * (i + 1) for i, (name, _) in enumerate(pairs)}
+    named = {sp.Symbol(n, real=True): v for n, v in numbers.items()}
+    values = {k: p.start for k, p in model.pairs} | dict(model.values)
+    at = dict(zip(traced.p, [values[k] for k in traced.keys], strict=True))
+    at |= {s: numbers[n] for n, s in pairs}
+    for symbol, value in solved.items():
+        exact = traced.rate[traced.states.index(symbol.name.removesuffix("_rate"))].xreplace(at)
+        assert float(value.xreplace(named)) == pytest.approx(float(exact), rel=1e-9)
 
 
 def test_every_effect_has_its_line():

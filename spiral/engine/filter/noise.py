@@ -16,7 +16,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.engine.filter.task import FilterInput, state_jacobian
+from spiral.engine.filter.task import FilterInput
+from spiral.engine.resting import state_jacobian
 from spiral.types.record import Array
 
 OBSERVED, HIDDEN = "observed", "hidden"

@@ -18,7 +18,15 @@ from spiral.engine.filter.prior import Prior
 from spiral.engine.filter.shifts import common_shifts
 from spiral.engine.filter.static import StaticMap, static_map
 from spiral.engine.kernel import trajectories
-from spiral.engine.series import Series, prepare_series
+from spiral.engine.resting import (
+    REST,
+    find_rest_state,
+    finite_state,
+    hidden_of_first_order,
+    state_jacobian,
+    steps_for_stability,
+)
+from spiral.engine.series import MOST_SUBSTEPS, Series, prepare_series
 from spiral.engine.start import fill_like_states, smoothed_motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import CompiledModel, compile_model
@@ -29,8 +37,6 @@ from spiral.types.record import Array, Record
 
 _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
-_NEWTON, _CLOSE = 50, 1e-6  # steps to where hidden states rest, and the last one's share
-_REST = 1e-12  # for a state at rest: a square root has no finite slope at zero
 
 
 @dataclass(frozen=True)
@@ -186,7 +192,7 @@ def build_task(
         shifts = common_shifts(compiled, values, grid.mean(axis=0), scales)
         tied = shifts.tied_deviations(states) if shifts.anchors else None
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
-    begin = _finite_state(compiled, values, begin, grid[0]) if start is None else begin
+    begin = finite_state(compiled, values, begin, grid[0]) if start is None else begin
     task = FilterInput(
         model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping,
         tied=tied,
@@ -227,75 +233,20 @@ def resting_first_state(task: FilterInput) -> Array | None:
     thrust that is asked for. Nothing where there are none, where the steps lead nowhere, or no
     further than the first state may be off.
     """
-    traced, values = task.compiled.traced, np.ascontiguousarray(task.values)
-    rates = {traced.rate_name(s) for s in traced.states}
-    own = [s for s in traced.states if s not in rates and traced.rate_name(s) not in traced.states]
-    hidden = [traced.states.index(s) for s in own if s not in traced.channels]
-    start = task.start.copy()
-    start[hidden] = np.where(start[hidden] == 0, _REST, start[hidden])
-    x = _find_rest_state(task.compiled, values, start, task.mean_inputs, hidden)
+    hidden = hidden_of_first_order(task.compiled.traced)
+    x = find_rest_state(task.compiled, task.values, task.start, task.mean_inputs, hidden)
     return x if x is not None and np.any(np.abs(x - task.start) > task.spread) else None
 
 
-def _find_rest_state(
-    compiled: CompiledModel, values: Array, start: Array, inputs: Array, moving: list[int]
-) -> Array | None:
-    """Where the rates of these states are zero, by Newton's steps from a state; or nothing."""
-    n, u = len(start), np.ascontiguousarray(inputs)
-    x, rate, a, b = start.copy(), np.empty(n), np.empty((n, n)), np.zeros((n, len(values)))
-    with np.errstate(all="ignore"):
-        for _ in range(_NEWTON if moving else 0):
-            compiled.rate(x, u, values, rate, a, b)
-            part = a[np.ix_(moving, moving)]
-            if not (np.all(np.isfinite(part)) and np.all(np.isfinite(rate))):
-                break
-            step = np.linalg.lstsq(part, -rate[moving], rcond=None)[0]
-            x[moving] += step
-            if np.all(np.abs(step) <= _CLOSE * np.abs(x[moving])):
-                return x
-    return None
-
-
-def _finite_state(compiled: CompiledModel, values: Array, x: Array, inputs: Array) -> Array:
-    """A state where the model is finite: x, or with its zeros moved to where their rates vanish.
-
-    A pressure under a logarithm, or a concentration that divides, has no zero.
-    """
-    values, u = np.ascontiguousarray(values), np.ascontiguousarray(inputs)
-    zero = [i for i, v in enumerate(x) if v == 0]
-    if not zero or _is_finite_at(compiled, values, x, u):
-        return x
-    ones = x.copy()
-    ones[zero] = 1.0
-    still = _find_rest_state(compiled, values, ones, u, zero)
-    return still if still is not None and _is_finite_at(compiled, values, still, u) else ones
-
-
-def _is_finite_at(compiled: CompiledModel, values: Array, x: Array, u: Array) -> bool:
-    rate, reading = np.empty(len(x)), np.empty(len(compiled.traced.channels))
-    with np.errstate(all="ignore"):
-        compiled.rate_value(x, u, values, rate)
-        compiled.output_value(x, u, values, reading)
-    return bool(np.isfinite(rate).all() and np.isfinite(reading).all())
-
-
 def enough_substeps(compiled: CompiledModel, values: Array, series: Series) -> int:
-    """Steps per sample that keep |eigenvalue| dt below 0.7 at rest, at the largest inputs."""
+    """Steps per sample that keep |eigenvalue| dt below 0.7 at rest, at the largest inputs.
+
+    At most ``MOST_SUBSTEPS``, or those that are needed for stability (``steps_for_stability``).
+    """
     matrix = state_jacobian(compiled, values, np.abs(series.inputs).max(axis=0, initial=0.0))
     fastest = float(np.abs(np.linalg.eigvals(matrix)).max()) * series.dt
-    return int(np.clip(np.ceil(fastest / _STEP), 1, 32))
-
-
-def state_jacobian(
-    compiled: CompiledModel, values: Array, inputs: Array, at: Array | None = None
-) -> Array:
-    """f_x (n, n) at a state, by default rest; zero where it is not finite."""
-    n = len(compiled.traced.states)
-    a, b = np.zeros((n, n)), np.zeros((n, len(values)))
-    x = np.full(n, _REST) if at is None else np.array(at, dtype=float)
-    u = np.ascontiguousarray(inputs, dtype=float)
-    compiled.rate(x, u, np.ascontiguousarray(values), np.empty(n), a, b)
-    return a if np.all(np.isfinite(a)) else np.zeros((n, n))
+    precise = int(np.clip(np.ceil(fastest / _STEP), 1, MOST_SUBSTEPS))
+    return max(precise, steps_for_stability(compiled, values, series))
 
 
 def _adopt_ties(
@@ -332,7 +283,7 @@ def _settled_scales(states: Array, dt: float) -> tuple[Array, Array, Array]:
     scales = np.where(scales > 0, scales, typical)
     rates = np.where(rates > 0, rates, scales / (dt * len(states)))
     mean = states.mean(axis=0)
-    return np.where(mean == 0, _REST, mean), scales, rates
+    return np.where(mean == 0, REST, mean), scales, rates
 
 
 def run_from_rest(
@@ -342,7 +293,7 @@ def run_from_rest(
     n = len(compiled.traced.states)
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
     whole, first = np.array([series.samples]), np.zeros(1, dtype=np.int64)
-    begin = _finite_state(compiled, values, np.zeros(n), series.mean_inputs)
+    begin = finite_state(compiled, values, np.zeros(n), series.mean_inputs)
     ok = trajectories(
         compiled.rate_value, compiled.output_value, begin[None, :], first, whole,
         np.ascontiguousarray(values[None, :]), grid, series.substeps, series.dt, states, readings,

@@ -8,6 +8,7 @@ import numpy as np
 
 from spiral.engine.fit import standard_deviations
 from spiral.engine.growth import Stage
+from spiral.engine.resting import steps_for_stability
 from spiral.engine.sensitivities import residuals
 from spiral.engine.series import steps_per_sample
 from spiral.engine.statistics import whiteness
@@ -60,7 +61,7 @@ def refine_substeps(assembly: Assembly, fit_state: FitState) -> Assembly:
 
 
 def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
-    """Steps per sample for the fastest mode at rest, at the largest inputs."""
+    """Steps per sample for the fastest mode at rest, at the largest inputs, and for stability."""
     study = assembly.study
     n, count = study.state_count, len(study.keys)
     system = assembly.problem.model.system
@@ -71,6 +72,7 @@ def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
         study.compiled.rate(np.full(n, 1e-12), size, np.ascontiguousarray(row), np.empty(n), a, b)
         if np.all(np.isfinite(a)):
             steps = max(steps, steps_per_sample(np.linalg.eigvals(a), series.dt, system.exact_to))
+        steps = max(steps, steps_for_stability(study.compiled, row, series))
     return steps
 
 

@@ -15,13 +15,14 @@ import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import FilterInput, state_jacobian
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
 from spiral.engine.likelihood.noise import NoiseModel, sensor_autocovariance, state_offsets
 from spiral.engine.likelihood.predict import predict_readings
+from spiral.engine.resting import state_jacobian
 from spiral.inference.disturbances import input_sentences
 from spiral.inference.evidence.assembly import Assembly, to_model
 from spiral.inference.evidence.comparison import settling_seconds, with_test_records

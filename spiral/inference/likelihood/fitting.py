@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import build_task, state_jacobian, with_start_spread
+from spiral.engine.filter.task import build_task, with_start_spread
 from spiral.engine.likelihood.fit import MaximumLikelihood, SlopeCache, maximise_likelihood
 from spiral.engine.likelihood.noise import (
     NoiseModel,
@@ -20,6 +20,7 @@ from spiral.engine.likelihood.predict import (
     Masks,
     predict_readings,
 )
+from spiral.engine.resting import state_jacobian
 from spiral.engine.series import sample_inputs, steps_per_sample
 from spiral.engine.statistics import Whiteness, whiteness
 from spiral.inference.evidence.assembly import Assembly, with_steps

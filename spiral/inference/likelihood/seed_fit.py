@@ -10,14 +10,16 @@
    the noise that is known by then;
 6. where what is left is not white still, the best so far with all of that taken for sensor noise.
 
-Each is taken a few steps, and the most likely one to its maximum. The next is tried only while the
-best so far does not explain the records (its fit did not converge, or it needs a random force that
-is no small one) and no two of them agree.
+Each is taken a few steps, and the most likely one to its maximum; then the others that lead
+elsewhere are taken on while their steps promise to come as high, since one that begins nearer may
+climb more slowly. The next start is tried only while the best so far does not explain the records
+(its fit did not converge, or it needs a random force that is no small one) and no two of them
+agree.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,23 +57,42 @@ _QUIET = 1e-3  # level of a random force that does next to nothing
 
 def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> LikelihoodFit:
     """The fit from the most likely of several starts, on sufficiently fine integration steps."""
-    best: LikelihoodFit | None = None
+    tried: list[LikelihoodFit] = []
     for begin, level in _start_states(assembly, state, progress):
         noise = first_noise(prepare_filter_tasks(assembly, begin)[0][0], level)
         fit = fit_by_likelihood(assembly, begin, noise, steps=_HEAT, rough=True)
-        agrees = best is not None and abs(
-            fit.log_likelihood - best.log_likelihood
-        ) < _SAME * reading_count(fit.estimate.prepared)
-        if best is None or fit.log_likelihood > best.log_likelihood:
-            best = fit
+        agrees = bool(tried) and _lead_to_one_place(fit, _likeliest(tried))
+        tried.append(fit)
+        best = _likeliest(tried)
         if agrees or (best.estimate.converged and is_random_force_small(best)):
             break
-    assert best is not None
-    fits = [best, *_refit_runaway_values(assembly, state, best, progress)]
-    best = max(fits, key=lambda f: f.log_likelihood)
+    best = _likeliest([best, *_refit_runaway_values(assembly, state, best, progress)])
     progress("most likely values of the model as it is")
-    fit = refit_on_finer_steps(assembly, fit_by_likelihood(assembly, best.state, rough=True))
-    return refit_initial_states(assembly, fit)
+    fit = fit_by_likelihood(assembly, best.state, rough=True)
+    fit = _take_others_on(assembly, fit, [t for t in tried if t is not best])
+    return refit_initial_states(assembly, refit_on_finer_steps(assembly, fit))
+
+
+def _likeliest(fits: Sequence[LikelihoodFit]) -> LikelihoodFit:
+    return max(fits, key=lambda f: f.log_likelihood)
+
+
+def _lead_to_one_place(one: LikelihoodFit, other: LikelihoodFit) -> bool:
+    apart = abs(one.log_likelihood - other.log_likelihood)
+    return apart < _SAME * reading_count(one.estimate.prepared)
+
+
+def _take_others_on(
+    assembly: Assembly, fit: LikelihoodFit, others: Sequence[LikelihoodFit]
+) -> LikelihoodFit:
+    """The fit, or that from another start, taken on while its steps promise to come as high."""
+    for other in sorted(others, key=lambda f: -f.log_likelihood):
+        if other.estimate.finite and not _lead_to_one_place(other, fit):
+            again = fit_by_likelihood(
+                assembly, other.state, rough=True, least=fit.log_likelihood + WORTH
+            )
+            fit = again if again.log_likelihood > fit.log_likelihood + WORTH else fit
+    return fit
 
 
 def _refit_runaway_values(

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.engine.filter.task import FilterInput, state_jacobian
+from spiral.engine.filter.task import FilterInput
+from spiral.engine.resting import state_jacobian
 from spiral.types.formatting import number
 
 _GONE = 6.0  # time constants within one sample after which nothing of a motion is left

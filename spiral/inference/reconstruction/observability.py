@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.filter.task import FilterInput, state_jacobian
+from spiral.engine.filter.task import FilterInput
+from spiral.engine.resting import state_jacobian
 from spiral.types.record import Array
 
 

@@ -20,6 +20,7 @@ from spiral.types.system import has_coordinates, varied_key
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _GREEK = {"alpha": "α", "beta": "β", "theta": "θ", "phase": "θ", "speed": "Ω"}
 _DIGITS = 4
+_WIDE = 20  # letters of a left side beside which its terms begin
 
 
 @dataclass(frozen=True)
@@ -32,42 +33,65 @@ class EquationTerm:
 
 @dataclass(frozen=True)
 class Equation:
-    """left = sum of terms."""
+    """left = sum of terms; in place of a rate, ``inertia`` is a sum over several accelerations."""
 
     left: str
     terms: tuple[EquationTerm, ...]
+    inertia: sp.Expr | None = None
 
 
 def model_equations(model: Model) -> tuple[tuple[Equation, ...], TracedModel]:
     """One equation for each state that is not merely the rate of another, and each changed reading.
 
     Contributions are differences of the traced right-hand side with and without an effect, so the
-    text shows what is integrated.
+    text shows what is integrated. Where accelerations are coupled (M is not diagonal), the balance
+    of forces M q'' = F is shown in place of q'' = M^-1 F, which a reader would not know again.
     """
     whole = trace(model.system, model.effects)
     bare = trace(model.system, ())
     alone = {e.label: _traced_without_and_with(model, e) for e in model.effects}
     base = _substitute_values(bare, model)
+    balanced = _coupled_rows(model, bare)
     listed = []
     for name in whole.states:
         if has_coordinates(model.system) and whole.rate_name(name) in whole.states:
             continue
+        row, inertia = balanced.get(name), None
         terms = []
         if name in bare.states:
-            terms.append(EquationTerm("", base.rate[base.states.index(name)]))
+            own = _right_side(base, name, row)
+            if row is not None:
+                own, inertia = _split_inertia(own, base)
+            terms.append(EquationTerm("", own))
         for label, (less, more) in alone.items():
             if name in more.states:
-                own = more.rate[more.states.index(name)]
-                known = name in less.states
-                before = less.rate[less.states.index(name)] if known else sp.Integer(0)
-                terms.append(
-                    EquationTerm(
-                        label, _shorter_difference(_linearise_program_calls(own, before), before)
-                    )
-                )
+                own = _right_side(more, name, row)
+                before = _right_side(less, name, row) if name in less.states else sp.Integer(0)
+                own = _linearise_program_calls(own, before)
+                terms.append(EquationTerm(label, _shorter_difference(own, before)))
         terms = [EquationTerm(t.owner, _name_program_calls(t.value)) for t in terms]
-        listed.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0)))
+        listed.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0), inertia))
     return (*listed, *_reading_equations(model)), whole
+
+
+def _coupled_rows(model: Model, traced: TracedModel) -> dict[str, int]:
+    """Rate of a coordinate -> its row in the balance of forces, where accelerations are coupled."""
+    slopes = sp.Matrix(traced.forces).jacobian(traced.acceleration) if traced.forces else None
+    if slopes is None or slopes.is_diagonal() or any(f.atoms(ProgramValue) for f in traced.forces):
+        return {}
+    names = [c.name for c in model.system.coordinates]  # type: ignore[attr-defined]
+    return {traced.rate_name(name): i for i, name in enumerate(names)}
+
+
+def _right_side(traced: TracedModel, name: str, row: int | None) -> Any:
+    """The rate of a state, or row ``row`` of F - M q''."""
+    return traced.rate[traced.states.index(name)] if row is None else -traced.forces[row]
+
+
+def _split_inertia(value: sp.Expr, traced: TracedModel) -> tuple[Any, Any]:
+    """F and M q'' of F - M q''."""
+    still = value.subs(dict.fromkeys(traced.acceleration, 0))
+    return still, sp.expand(still - value)
 
 
 def _traced_without_and_with(model: Model, effect: Effect) -> tuple[TracedModel, TracedModel]:
@@ -89,14 +113,17 @@ def equation_text(model: Model) -> str:
     blocks = []
     for item in model_equations(model)[0]:
         left = _left_side(item.left)
+        if item.inertia is not None:
+            left = _signed_terms(item.inertia).removeprefix("+ ")
         lines = [
             (_signed_terms(t.value), sanitise_text(t.owner or "system")) for t in item.terms
         ] or [("0", "")]
         wide = min(max(len(text) for text, _ in lines), 60)
-        pad = " " * (len(left) + 3)
+        pad = " " * (len(left) + 3 if len(left) <= _WIDE else 6)
         lines[0] = (lines[0][0].removeprefix("+ "), lines[0][1])
         rows = [f"{pad}{text:<{wide}}   {owner}".rstrip() for text, owner in lines]
-        rows[0] = f"{left} = {rows[0][len(pad) :]}"
+        first = rows[0][len(pad) :]
+        rows[0] = f"{left} = {first}" if len(left) <= _WIDE else f"{left}\n    = {first}"
         blocks.append("\n".join(rows))
     return "\n".join(blocks)
 
@@ -110,7 +137,7 @@ def equation_latex(model: Model) -> str:
             text = sp.latex(_rename_and_round(term.value, _latex_name), mul_symbol=r"\,")
             text = text if text.startswith("-") or index == 0 else f"+ {text}"
             owner = latex_text(term.owner or "system")
-            left = _latex_left_side(item.left) + " &= " if index == 0 else "&\\quad "
+            left = _latex_left(item) + " &= " if index == 0 else "&\\quad "
             rows.append(rf"{left}{text} && \text{{{owner}}} \\")
     return "\n".join([r"\begin{align*}", *rows, r"\end{align*}"])
 
@@ -148,10 +175,18 @@ def _substitute_values(traced: TracedModel, model: Model) -> TracedModel:
         value = model.values.get(key, starts.get(key))
         known = value is not None and value == value
         swap[symbol] = sp.Float(value) if known else _real_symbol(parameter_of(key))
+    names = [traced.rate_name(c.name) for c in getattr(model.system, "coordinates", ())]
+    rates = tuple(_real_symbol(f"{n}_rate") for n in names) if traced.acceleration else ()
+    swap.update(zip(traced.acceleration, rates, strict=True))
     tiny = {f: 0 for e in traced.rate for f in e.atoms(sp.Float) if 0 < abs(f) < 1e-150}
-    rate = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.rate)
-    output = tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in traced.output)
-    return replace(traced, rate=rate, output=output)
+
+    def substitute(rows: tuple[sp.Expr, ...]) -> tuple[Any, ...]:
+        return tuple(sp.sympify(e).xreplace(tiny).xreplace(swap).doit() for e in rows)
+
+    return replace(
+        traced, rate=substitute(traced.rate), output=substitute(traced.output),
+        forces=substitute(traced.forces), acceleration=rates,
+    )  # fmt: skip
 
 
 def _linearise_program_calls(value: sp.Expr, before: sp.Expr) -> Any:
@@ -193,13 +228,16 @@ def _left_side(text: str) -> str:
     return f"{_unicode_name(text[:-1])}'" if text.endswith("'") else text
 
 
+def _latex_left(item: Equation) -> str:
+    if item.inertia is None:
+        return _latex_left_side(item.left)
+    return sp.latex(_rename_and_round(item.inertia, _latex_name), mul_symbol=r"\,")
+
+
 def _latex_left_side(text: str) -> str:
     if not text.endswith("'"):
         return rf"\text{{{latex_text(text)}}}"
-    name = text[:-1]
-    if name.endswith("_rate"):
-        return rf"\ddot{{{_latex_name(name.removesuffix('_rate'))}}}"
-    return rf"\dot{{{_latex_name(name)}}}"
+    return _latex_name(f"{text[:-1]}_rate")
 
 
 def _unicode_name(name: str) -> str:
@@ -210,8 +248,9 @@ def _unicode_name(name: str) -> str:
 
 
 def _latex_name(name: str) -> str:
-    if name.endswith("_rate"):
-        return rf"\dot{{{_latex_name(name.removesuffix('_rate'))}}}"
+    for ending, accent in (("_rate_rate", "ddot"), ("_rate", "dot")):
+        if name.endswith(ending):
+            return rf"\{accent}{{{_latex_name(name.removesuffix(ending))}}}"
     words = {"speed": r"\Omega", "phase": r"\theta", "alpha": r"\alpha", "beta": r"\beta"}
     return words.get(name, name if len(name) == 1 else rf"\mathrm{{{latex_text(name)}}}")
 

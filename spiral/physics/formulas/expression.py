@@ -20,7 +20,11 @@ from spiral.physics.formulas.dimensions import (
     infer_dimensions,
     unit_for,
 )
-from spiral.physics.formulas.place import EACH_AXIS, Place, place_of
+from spiral.physics.formulas.place import (
+    Place,
+    place_of,
+    values_at_hand,
+)
 from spiral.types.effect import Effect, FlowEffect, ForceEffect
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import construct
@@ -72,8 +76,9 @@ def effect_from_expression(
     name : of the effect, a Python identifier.
     expression : text; list with one text for each axis of the port; or mapping axis (or, of a
         system of first order, channel) -> text. It may name the port's axes (``x``), their rates
-        (``x_rate``), the axis at hand (``q``, ``v``: one text then serves all axes), inputs
-        (``speed``) and states of a system of first order; every other name is a parameter.
+        (``x_rate``), the axis at hand (``q``, ``v``, or ``axis_position``, ``axis_velocity`` where
+        the system has other uses for these: one text then serves all axes), inputs (``speed``) and
+        states of a system of first order; every other name is a parameter.
         A force acts on the machine: ``-k*x`` is a spring.
     system, port : where it acts.
     options : ``units``, ``shape``, ``grid``, ``lower``, ``per_axis``, ``meaning``, as in
@@ -128,8 +133,8 @@ class ForceByFormula(ForceEffect):
         forces = []
         for i, (_, text) in enumerate(self.formulas):
             own = _parameter_values(self.parameters, p, i)
-            each = {"q": at.position[i], "v": at.velocity[i]}
-            forces.append(syntax.compute(text, {**values, **each, **own}))
+            each = values_at_hand(at.position[i], at.velocity[i])
+            forces.append(syntax.compute(text, {**each, **values, **own}))
         return forces
 
 
@@ -168,6 +173,8 @@ def _build_class(name: str, text: str, place: Place) -> type[Effect]:
     free = tuple(n for n in used if n not in place.known)
     _check_names(definition, free, place)
     parameters = _define_parameters(definition, formulas, free, place)
+    one = definition.expression
+    each_axis = isinstance(one, str) and place.is_for_all_axes(syntax.names(one))
     equation = "; ".join(f"{'F' if place.force else 'flow'}_{k} = {t}" for k, t in formulas.items())
     words = definition.meaning.rstrip(".") or "An effect by expression"
     body = {
@@ -183,7 +190,7 @@ def _build_class(name: str, text: str, place: Place) -> type[Effect]:
         "formulas": tuple(formulas.items()),
         "inputs": tuple(n for n in used if n in dict(place.inputs)),
         "channels": () if place.force else tuple(n for n in used if n in dict(place.states)),
-        "axes": len(place.positions) if place.force and not _is_for_all_axes(definition) else None,
+        "axes": len(place.positions) if place.force and not each_axis else None,
     }
     base = ForceByFormula if place.force else FlowByFormula
     made: type[Effect] = type(base)(name, (base,), body)  # type: ignore[assignment]
@@ -193,12 +200,6 @@ def _build_class(name: str, text: str, place: Place) -> type[Effect]:
 def _rebuild_effect(name: str, text: str, place: Place, port: str, variant: str) -> Effect:
     """An effect by expression as unpickling makes it, in another process."""
     return _build_class(name, text, place)(port=port, variant=variant)
-
-
-def _is_for_all_axes(definition: Definition) -> bool:
-    """Whether one formula in q and v serves any number of axes."""
-    text = definition.expression
-    return isinstance(text, str) and bool({*EACH_AXIS} & {*syntax.names(text)})
 
 
 def _formulas_by_output(given: Any, place: Place) -> dict[str, str]:
@@ -216,14 +217,15 @@ def _formulas_by_output(given: Any, place: Place) -> dict[str, str]:
                 )
         return {n: str(given.get(n, 0)) for n in outputs if place.force or n in given}
     texts = [str(t) for t in given] if isinstance(given, list | tuple) else [str(given)]
-    if len(texts) == 1 and place.force and {*EACH_AXIS} & {*syntax.names(texts[0])}:
+    if len(texts) == 1 and place.is_for_all_axes(syntax.names(texts[0])):
         texts = texts * len(outputs)
     if len(texts) != len(outputs):
         each = ", ".join(f"{n}: ..." for n in outputs)
         raise ConfigError(
             f"{len(texts)} expression{'s' * (len(texts) > 1)} ({', '.join(texts)})",
             f"{len(outputs)}, one for each {what}: {', '.join(outputs)}",
-            f"expression='{{{each}}}'" + (", or q and v for every axis" if place.force else ""),
+            f"expression='{{{each}}}'"
+            + (f", or {' and '.join(place.at_hand)} for every axis" if place.force else ""),
         )
     return dict(zip(outputs, texts, strict=True))
 

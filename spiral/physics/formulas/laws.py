@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from spiral.physics.formulas.expression import class_of
+from spiral.physics.formulas.place import AXIS_AT_HAND, EACH_AXIS
 from spiral.types.cache import kept
 from spiral.types.effect import Effect
 from spiral.types.placement import at_every_place, fits
@@ -43,13 +44,15 @@ class Law:
     def rename_taken_letters(self, taken: Container[str]) -> Law:
         """The law with other letters where its own are names already."""
         new = {n: n if n not in taken else f"{n}_law" for n in ("a", "b", "c", "l", "n", "K")}
+        axis = zip(EACH_AXIS, AXIS_AT_HAND, strict=True)
+        new |= {short: full if short in taken else short for short, full in axis}
 
         def rename_keys(given: Mapping[str, Any]) -> dict[str, Any]:
             return {new[k]: v for k, v in given.items()}
 
         return replace(
             self,
-            formula=re.sub(r"\b[abclnK]\b", lambda m: new[m.group()], self.formula),
+            formula=re.sub(r"\b[abclnKqv]\b", lambda m: new[m.group()], self.formula),
             grid=rename_keys(self.grid),
             units=rename_keys(self.units),
             lower=rename_keys(self.lower),

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from spiral.types.rates import per_second
 from spiral.types.system import System, has_coordinates
 
 _RELATIVE = r"\b(force|position|velocity)\b"
-EACH_AXIS = ("q", "v")  # position and velocity of the axis at hand
+EACH_AXIS = ("q", "v")
+"""Position and velocity of the axis at hand, where the system has no other use for the name."""
+AXIS_AT_HAND = ("axis_position", "axis_velocity")
+"""The same in full, in any system."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +38,22 @@ class Place:
     def known(self) -> dict[str, str]:
         """Name -> unit of everything that is no parameter."""
         rates = {f"{n}_rate": per_second(u) for n, u in self.positions}
-        each = dict(
-            zip(EACH_AXIS, (self.position_unit, per_second(self.position_unit)), strict=True)
-        )
-        units = {**dict(self.positions), **rates, **each} if self.force else dict(self.states)
-        return {**units, **dict(self.inputs)}
+        units = (self.position_unit, per_second(self.position_unit))
+        own = {**dict(self.positions), **rates} if self.force else dict(self.states)
+        own |= dict(self.inputs)
+        each = values_at_hand(*units) if self.force else {}
+        return own | {n: unit for n, unit in each.items() if n not in own}
+
+    @property
+    def at_hand(self) -> tuple[str, ...]:
+        """Names of the position and velocity of the axis at hand, the short ones where free."""
+        taken = {*dict(self.positions), *dict(self.inputs)}
+        pairs = zip(EACH_AXIS, AXIS_AT_HAND, strict=True)
+        return tuple(full if short in taken else short for short, full in pairs)
+
+    def is_for_all_axes(self, names: Iterable[str]) -> bool:
+        """Whether a formula with these names speaks of the axis at hand."""
+        return self.force and not {*self.at_hand, *AXIS_AT_HAND}.isdisjoint(names)
 
     @property
     def words(self) -> dict[str, str]:
@@ -56,6 +72,15 @@ class Place:
     def is_relative(self, unit: str) -> bool:
         """Whether a unit is in the place's words."""
         return bool(re.search(_RELATIVE, unit))
+
+
+def values_at_hand(position: Any, velocity: Any) -> dict[str, Any]:
+    """What stands for an axis at hand in a formula; names of the system come before these."""
+    return {
+        name: value
+        for names in (EACH_AXIS, AXIS_AT_HAND)
+        for name, value in zip(names, (position, velocity), strict=True)
+    }
 
 
 def place_of(system: System, port: str = "") -> Place:
