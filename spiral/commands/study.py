@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -12,6 +13,7 @@ from spiral.types.errors import ConfigError
 
 if TYPE_CHECKING:
     from spiral.inference.problem import Problem
+    from spiral.inference.rounds import Checkpoint
     from spiral.io.config import Config
     from spiral.io.registry import Registry
     from spiral.types.model import Model
@@ -85,9 +87,24 @@ def _run_discovery_loop(study: Command, problem: Problem) -> Run:
         last = kept.read_last()
         if last is not None:
             study.tell(f"taking up this study, left unfinished in round {len(last.rounds)}")
-        run = discover(problem, study.tell, study.on_round, kept.write, last)
+        try:
+            run = discover(problem, study.tell, study.on_round, kept.write, last)
+        except (KeyboardInterrupt, SystemExit):  # Ctrl-C, SIGTERM
+            _tell_what_is_known(kept.read_last(), problem)
+            raise
         kept.remove()
     return run
+
+
+def _tell_what_is_known(last: Checkpoint | None, problem: Problem) -> None:
+    """Say what a study has found that is stopped, and that the same command goes on from there."""
+    from spiral.inference.verdict import interrupted_summary
+
+    if last is None:
+        return
+    done, known = len(last.rounds) - 1, interrupted_summary(last.rounds, problem.settings)
+    print(f"After round {done}: {known}", file=sys.stderr)
+    print("The same command goes on from there.", file=sys.stderr)
 
 
 def compare(study: Command) -> Outcome:

@@ -281,9 +281,23 @@ def search_end_sentence(settings: Settings) -> str:
 
 def _unfinished_sentence(comparison: Comparison, settings: Settings) -> str:
     """What is known of a seed when the search ended for want of time."""
+    return f"{search_end_sentence(settings)} {_unconfirmed_sentence(comparison, settings)}"
+
+
+def _unconfirmed_sentence(comparison: Comparison, settings: Settings) -> str:
+    """That nothing was confirmed yet, and what speaks against the model as it is."""
     reasons = shortfalls(comparison, settings)
-    said = f"Something is missing: {'; '.join(reasons)}." if reasons else ""
-    return f"{search_end_sentence(settings)} No candidate was confirmed until then. {said}".strip()
+    said = f" Something is missing: {'; '.join(reasons)}." if reasons else ""
+    return f"No candidate was confirmed until then.{said}"
+
+
+def interrupted_summary(rounds: Sequence[Round], settings: Settings) -> str:
+    """What a study knows that was stopped in the middle of its search, in sentences."""
+    if not (admitted := _admitted_labels(rounds)):
+        return _unconfirmed_sentence(rounds[-1].comparison, settings)
+    reasons = shortfalls(rounds[-1].comparison, settings)
+    more = f" More is missing: {'; '.join(reasons)}." if reasons else ""
+    return _change_sentence(rounds, admitted, settings) + more
 
 
 def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -132,7 +133,10 @@ def test_a_signal_leaves_the_checkpoint_and_no_lock(tmp_path):
     )  # fmt: skip
     _wait(lambda: _rounds_kept(tmp_path) >= 1, process)
     process.send_signal(signal.SIGTERM)
-    assert "Traceback" not in process.communicate()[1]
+    said = process.communicate()[1]
+    assert "Traceback" not in said
+    assert re.search(r"After round \d: (No candidate was confirmed until then|Missing was)", said)
+    assert said.rstrip().endswith("The same command goes on from there.")
     assert process.returncode == 128 + signal.SIGTERM
     assert _rounds_kept(tmp_path) >= 1
     assert not list(left.glob("*.lock"))
