@@ -186,14 +186,14 @@ def race_offered(
 
 def first_to_pass(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, race: Race, judge: Masks,
-    level: float, objection: Objection, progress: Progress,
+    level: float, objection: Objection, progress: Progress, least: float = 0.0,
 ) -> RaceOutcome:  # fmt: skip
-    """The first winner that is confirmed on the judging blocks and meets no ``objection``."""
+    """The first winner worth more than ``least`` that the judging blocks confirm, unopposed."""
     rejected: dict[str, str] = {}
     likely: AcceptedCandidate | None = None
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     for rival, rivals in itertools.islice(_meaningful(race, rejected), options.judged):
-        if reason := _unconfirmed_reason(base, ours, rival, judge, level):
+        if reason := _unconfirmed_reason(base, ours, rival, judge, level, least):
             rejected[rival.label] = reason
             continue
         if twin := untold_twin(base, rival, race.masks):
@@ -323,11 +323,14 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
 
 
 def _unconfirmed_reason(
-    base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, judge: Masks, level: float
-) -> str:
+    base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, judge: Masks,
+    level: float, least: float,
+) -> str:  # fmt: skip
     """Why a candidate is not confirmed on the judging blocks; empty where it is."""
     if not rival.worth > 0:
         return "refitted, its gain in likelihood does not pay for its additional parameters"
+    if not rival.worth > least:
+        return "refitted, it is not likelier than what it would replace"
     judgement = judge_winner(base, ours(), rival, judge)
     if not judgement.passes(level):
         return (

@@ -77,13 +77,14 @@ class _LawStart:
     """A model from which laws are tried.
 
     ``gone`` are the effects that it lets go, ``log_likelihood`` that of the model with them,
-    ``state`` that model's.
+    ``state`` that model's; ``worth`` what they gain on the blocks that select, less their penalty.
     """
 
     base: LikelihoodFit
     gone: tuple[str, ...] = ()
     log_likelihood: float = -np.inf
     state: FitState | None = None
+    worth: float = 0.0
 
 
 def find_named_law(
@@ -174,7 +175,10 @@ def _law_starts(
         before = select_noise_model(assembly, before, progress)
         if before.estimate.finite:
             before = fit_by_likelihood(assembly, before.state, masks=select, steps=WARM, rough=True)
-            yield _LawStart(before, gone, _full_log_likelihood(assembly, state), state)
+            numbers = len(base.estimate.keys) - len(before.estimate.keys)
+            price = schwarz_penalty(numbers, before.estimate.prepared)
+            worth = base.log_likelihood - before.log_likelihood - price
+            yield _LawStart(before, gone, _full_log_likelihood(assembly, state), state, worth)
     if whole:
         yield _LawStart(base)
 
@@ -202,7 +206,7 @@ def _find_law_from(
     race, ranked = contest
     race = _with_every_form(race, ranked)
     passed = first_to_pass(
-        options, assembly, start.base, race, masks[1], level, objection, progress
+        options, assembly, start.base, race, masks[1], level, objection, progress, start.worth
     ).passed
     if passed is None:
         return None
