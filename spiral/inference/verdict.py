@@ -191,6 +191,8 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
         return words
     random = " ".join(filter(None, (random_sentence(comparison), record_sentence(comparison))))
     if verdict == "nothing_missing":
+        if random_forces(comparison) and comparison.disturbed > comparison.noise_floor:
+            words = "Nothing is missing but what acts at random"
         return f"{words}: {_figures_clause(comparison, settings)}.{' ' + random if random else ''}"
     reasons = shortfalls(comparison, settings)
     if (

@@ -85,6 +85,17 @@ def test_random_forces_that_carry_a_free_run_are_no_quiet_end(moved, told):
         assert ("40.0 %" in advice) == told
 
 
+@pytest.mark.parametrize(("moved", "lead"), [
+    (0.01, "Nothing is missing: "), (0.05, "Nothing is missing but what acts at random: "),
+])  # fmt: skip
+def test_a_verdict_names_random_forces_that_move_a_free_run_more_than_noise(moved, lead):
+    pushed = replace(GOOD, random={"force.observed": 0.04}, disturbed=moved)
+    verdict, words, _ = said((Round(0, (), {}, {}, (), pushed, 1.0),), "whiteness")
+    assert verdict == "nothing_missing"
+    assert words.startswith(lead)
+    assert "4.00 % of the machine's own forces" in words
+
+
 def test_more_is_missing_where_the_rest_is_far_from_noise():
     far = replace(GOOD, chi2_per_dof=798.0, whiteness_p=0.0, whiteness_effect=3.0, test_error=0.13)
     verdict, words, advice = said(rounds(far))
