@@ -16,10 +16,12 @@ Scope = Literal["machine", "record"]
 
 def _check_name(kind: str, name: str) -> None:
     if not name.isidentifier() or keyword.iskeyword(name):
+        reserved = keyword.iskeyword(name)
         raise PluginError(
-            f"a {kind} named {name!r}",
+            f"{'an' if kind == 'input' else 'a'} {kind} named {name!r}"
+            + (", a word of Python's own" if reserved else ""),
             "a Python identifier in snake_case, for instance 'stiffness'",
-            f"rename the {kind}",
+            f"rename the {kind}" + (f", for instance {name}_1" if reserved else ""),
         )
 
 
