@@ -10,6 +10,7 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import frame, horizon_errors, panels
+from spiral.app.narrow import is_narrow
 from spiral.app.own_effect import normalize_effect_name
 from spiral.app.session import LiveStudy, Session
 from spiral.app.study import StudyState, trial_figure_file, turn_folder
@@ -18,6 +19,7 @@ from spiral.types.formatting import number
 from spiral.types.label import name_of
 
 _SHOWN = 5  # candidates before "show all"
+_SHOWN_NARROW = 3  # where figures stand below them
 _OWN = (
     ("name", "Name", "hardening"),
     ("formula", "Force on the machine", "-k3*q**3"),
@@ -131,7 +133,9 @@ class CandidateList:
 
     def _least(self, turn: StudyState) -> int:
         """How many candidates are shown before all are asked for."""
-        return 0 if turn.verdict == "whiteness" else _SHOWN
+        if turn.verdict == "whiteness":
+            return 0
+        return _SHOWN_NARROW if is_narrow() else _SHOWN
 
     def _listed(self, scene: LiveStudy, turn: StudyState) -> list[Mapping[str, Any]]:
         """The candidates that are shown; those of the user and the proposed ones always."""

@@ -8,11 +8,12 @@ from typing import Any
 import sympy as sp
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from spiral.io.export.equation import model_equations
+from spiral.io.export.equation import case_list, model_equations
 from spiral.types.model import Model
 
 _LETTERS = {"alpha": "α", "beta": "β", "phase": "θ", "speed": "Ω"}  # noqa: RUF001
 _DIGITS = 4
+_INDEX = 2  # letters of an index, at most
 
 
 class _MathmlPrinter(MathMLPresentationPrinter):
@@ -34,6 +35,24 @@ class _MathmlPrinter(MathMLPresentationPrinter):
             row.appendChild(part)
         return row
 
+    def _print_Piecewise(self, expr: sp.Piecewise) -> Any:  # type: ignore[override]
+        """A table in braces: a value and where it holds on each line."""
+        row, table = (self.dom.createElement(tag) for tag in ("mrow", "mtable"))
+        for value, condition in case_list(expr):
+            line, left, right = (self.dom.createElement(tag) for tag in ("mtr", "mtd", "mtd"))
+            left.appendChild(self._print(value))
+            rest = condition == sp.true
+            right.appendChild(_text_element(self, "mtext", "else" if rest else "where\xa0"))
+            if not rest:
+                right.appendChild(self._print(condition))
+            for cell in (left, right):
+                cell.setAttribute("style", "text-align:left")
+                line.appendChild(cell)
+            table.appendChild(line)
+        for part in (_text_element(self, "mo", "{"), table, _text_element(self, "mo", "}")):
+            row.appendChild(part)
+        return row
+
 
 def _text_element(printer: MathMLPresentationPrinter, tag: str, text: str) -> Any:
     element = printer.dom.createElement(tag)
@@ -45,7 +64,7 @@ def _dotted_symbol(printer: MathMLPresentationPrinter, name: str) -> Any:
     base, dots = name, 0
     while base.endswith("_rate"):
         base, dots = base.removesuffix("_rate"), dots + 1
-    letter = _text_element(printer, "mi", _LETTERS.get(base, base))
+    letter = _letter_with_index(printer, base)
     if not dots:
         return letter
     over = printer.dom.createElement("mover")
@@ -53,6 +72,17 @@ def _dotted_symbol(printer: MathMLPresentationPrinter, name: str) -> Any:
     over.appendChild(letter)
     over.appendChild(_text_element(printer, "mo", "˙" if dots == 1 else "¨"))
     return over
+
+
+def _letter_with_index(printer: MathMLPresentationPrinter, name: str) -> Any:
+    """A name; a short part after its last underscore as an index: ``k_x``, ``stiffness_x``."""
+    stem, _, index = name.rpartition("_")
+    if not stem or not index or len(index) > _INDEX:
+        return _text_element(printer, "mi", _LETTERS.get(name, name))
+    below = printer.dom.createElement("msub")
+    below.appendChild(_text_element(printer, "mi", _LETTERS.get(stem, stem)))
+    below.appendChild(_text_element(printer, "mn" if index.isdecimal() else "mi", index))
+    return below
 
 
 def mathml(model: Model) -> list[dict[str, Any]]:

@@ -274,13 +274,13 @@ def test_a_record_without_an_input_needs_a_mouse_alone(tab, served, files, pictu
     tab.wait_for_selector("main:has-text('at 50 Hz')")
     tab.wait_for_selector("li:has-text('resampled from 100 to 50 Hz')")
     tab.click(".add-effect .q-select >> nth=0")
-    tab.click(".q-menu .q-item:has-text('coulomb friction')")
+    tab.click(".q-menu .q-item:has-text('Coulomb friction')")
     tab.click("button:has-text('Put it in'):enabled")
-    tab.wait_for_selector("[aria-label='value of coulomb friction, level']")
+    tab.wait_for_selector("[aria-label='value of Coulomb friction, level']")
     tab.wait_for_selector(BEGIN)
     picture(tab, "desk-model")
     assert faults(tab) == []
     tab.emulate_media(color_scheme="dark")
     assert faults(tab) == []
-    tab.click("button[aria-label='Remove coulomb friction']")
-    tab.wait_for_selector("[aria-label='value of coulomb friction, level']", state="detached")
+    tab.click("button[aria-label='Remove Coulomb friction']")
+    tab.wait_for_selector("[aria-label='value of Coulomb friction, level']", state="detached")

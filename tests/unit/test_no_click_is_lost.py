@@ -70,3 +70,14 @@ def test_candidates_that_are_shown_stay_as_the_others_join_them(page, tmp_path):
         assert set(before) <= set(shown)
     assert shown == before
     assert redrawn == []
+
+
+def test_a_narrow_window_folds_all_but_three_as_figures_stand_below(monkeypatch, tmp_path):
+    turn = StudyState(0, "", {}, candidates=tuple({"effect": f"e{i}"} for i in range(8)),
+                      proposed=("e6",))  # fmt: skip
+    scene = LiveStudy(new_study(tmp_path, "x", ()))
+    listed = CandidateList(MagicMock(), "", lambda what: what(), lambda: None)
+    for narrow, count in ((True, 3), (False, 5)):
+        monkeypatch.setattr("spiral.app.missing.is_narrow", lambda narrow=narrow: narrow)
+        shown = [c["effect"] for c in listed._listed(scene, turn)]
+        assert shown == [*(f"e{i}" for i in range(count)), "e6"]
