@@ -7,6 +7,7 @@ from typing import Any
 
 import sympy as sp
 from sympy.printing.mathml import MathMLPresentationPrinter
+from sympy.printing.precedence import PRECEDENCE
 
 from spiral.io.export.equation import case_list, model_equations
 from spiral.types.model import Model
@@ -35,23 +36,63 @@ class _MathmlPrinter(MathMLPresentationPrinter):
             row.appendChild(part)
         return row
 
+    def _print_Mul(self, expr: sp.Mul) -> Any:  # type: ignore[override]
+        """Cases stand behind the other factors: in a fraction they would be small."""
+        cases = [f for f in sp.Mul.make_args(expr) if isinstance(f, sp.Piecewise)]
+        if not cases:
+            return super()._print_Mul(expr)
+        row = self.dom.createElement("mrow")
+        rest = sp.Mul(*(f for f in sp.Mul.make_args(expr) if f not in cases))
+        for factor in (rest, *cases):
+            row.appendChild(self.parenthesize(factor, PRECEDENCE["Mul"], strict=True))
+        return row
+
+    def _print_Add(self, expr: sp.Add, order: Any = None) -> Any:  # type: ignore[override]
+        """Several cases of a sum stand one below the other."""
+        if not _is_stacked(expr):
+            return super()._print_Add(expr, order)
+        terms = sp.Add.make_args(expr)
+        return self._table([[self._with_sign(term)] for term in terms])
+
     def _print_Piecewise(self, expr: sp.Piecewise) -> Any:  # type: ignore[override]
         """A table in braces: a value and where it holds on each line."""
-        row, table = (self.dom.createElement(tag) for tag in ("mrow", "mtable"))
+        row = self.dom.createElement("mrow")
+        lines = []
         for value, condition in case_list(expr):
-            line, left, right = (self.dom.createElement(tag) for tag in ("mtr", "mtd", "mtd"))
-            left.appendChild(self._print(value))
+            where = self.dom.createElement("mrow")
             rest = condition == sp.true
-            right.appendChild(_text_element(self, "mtext", "else" if rest else "where\xa0"))
+            where.appendChild(_text_element(self, "mtext", "else" if rest else "where\xa0"))
             if not rest:
-                right.appendChild(self._print(condition))
-            for cell in (left, right):
-                cell.setAttribute("style", "text-align:left")
-                line.appendChild(cell)
-            table.appendChild(line)
-        for part in (_text_element(self, "mo", "{"), table, _text_element(self, "mo", "}")):
+                where.appendChild(self._print(condition))
+            lines.append([self._print(value), where])
+        braces = (_text_element(self, "mo", brace) for brace in "{}")
+        for part in (next(braces), self._table(lines), next(braces)):
             row.appendChild(part)
         return row
+
+    def _with_sign(self, term: sp.Expr) -> Any:
+        """A term of a sum behind its sign."""
+        row = self.dom.createElement("mrow")
+        negative = term.could_extract_minus_sign()
+        row.appendChild(_text_element(self, "mo", "−" if negative else "+"))  # noqa: RUF001
+        row.appendChild(self._print(-term if negative else term))
+        return row
+
+    def _table(self, lines: list[list[Any]]) -> Any:
+        table = self.dom.createElement("mtable")
+        for cells in lines:
+            line = self.dom.createElement("mtr")
+            for content in cells:
+                cell = self.dom.createElement("mtd")
+                cell.appendChild(content)
+                line.appendChild(cell)
+            table.appendChild(line)
+        return table
+
+
+def _is_stacked(value: sp.Expr) -> bool:
+    """Whether an expression is a sum of several cases, too wide for a line."""
+    return sum(term.has(sp.Piecewise) for term in sp.Add.make_args(value)) > 1
 
 
 def _text_element(printer: MathMLPresentationPrinter, tag: str, text: str) -> Any:
@@ -107,5 +148,7 @@ def _signed_term(printer: _MathmlPrinter, value: sp.Expr) -> str:
     """A term with its sign first; sums are multiplied out no further."""
     negative = value.could_extract_minus_sign() and not value.is_Add
     body: Any = printer._print(-value if negative else value)
+    if _is_stacked(value):
+        return body.toxml()
     sign = "−" if negative else "+"  # noqa: RUF001
     return f"<mo>{sign}</mo>{body.toxml()}"
