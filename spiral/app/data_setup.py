@@ -239,7 +239,9 @@ class DataSetup:
 def missing_values_note(columns: Sequence[Mapping[str, Any]]) -> str:
     """What the marks below the curves are; empty where every row has its value."""
     counts = [f"{c['missing']} in {c['name']}" for c in columns if c.get("missing")]
-    return f"Orange marks: rows without a value, {first_words(counts)}." if counts else ""
+    return (
+        f"Triangles below a curve: rows without a value, {first_words(counts)}." if counts else ""
+    )
 
 
 def stretch_shapes(setup: RecordSetup) -> list[dict[str, Any]]:

@@ -126,7 +126,7 @@ def _mark_missing(figure: Any, values: Any, row: int) -> None:
     """A mark below the curve at each row that lacks its value, at most ``_MARKS`` of them."""
     import plotly.graph_objects as go
 
-    from spiral.view.report.style import VERMILION
+    from spiral.view.report.style import BLACK
 
     missing = np.flatnonzero(np.isnan(values))
     if not len(missing):
@@ -134,7 +134,7 @@ def _mark_missing(figure: Any, values: Any, row: int) -> None:
     lowest, highest = np.nanmin(values), np.nanmax(values)
     shown = missing[np.unique(np.linspace(0, len(missing) - 1, _MARKS).astype(int))]
     below = np.full(len(shown), lowest - 0.06 * ((highest - lowest) or 1.0))
-    marker = {"symbol": "triangle-up", "size": 9, "color": VERMILION}
+    marker = {"symbol": "triangle-up", "size": 9, "color": BLACK}
     trace = go.Scatter(x=shown.astype(np.float32), y=below.astype(np.float32), mode="markers",
                        name="no value", marker=marker, showlegend=False,
                        hovertemplate="<b>no value</b><br>row: %{x:.0f}<extra></extra>")  # fmt: skip

@@ -20,6 +20,10 @@ _INDEX = 2  # letters of an index, at most
 class _MathmlPrinter(MathMLPresentationPrinter):
     """States with dots for their rates, numbers as m x 10^n with a few digits."""
 
+    def element(self, value: Any) -> Any:
+        """An expression as an element of the document."""
+        return self._print(value)
+
     def _print_Symbol(self, sym: sp.Symbol, style: str = "plain") -> Any:
         return _dotted_symbol(self, sym.name)
 
@@ -44,7 +48,8 @@ class _MathmlPrinter(MathMLPresentationPrinter):
         row = self.dom.createElement("mrow")
         rest = sp.Mul(*(f for f in sp.Mul.make_args(expr) if f not in cases))
         for factor in (rest, *cases):
-            row.appendChild(self.parenthesize(factor, PRECEDENCE["Mul"], strict=True))
+            part: Any = self.parenthesize(factor, PRECEDENCE["Mul"], strict=True)
+            row.appendChild(part)
         return row
 
     def _print_Add(self, expr: sp.Add, order: Any = None) -> Any:  # type: ignore[override]
@@ -63,8 +68,8 @@ class _MathmlPrinter(MathMLPresentationPrinter):
             rest = condition == sp.true
             where.appendChild(_text_element(self, "mtext", "else" if rest else "where\xa0"))
             if not rest:
-                where.appendChild(self._print(condition))
-            lines.append([self._print(value), where])
+                where.appendChild(self.element(condition))
+            lines.append([self.element(value), where])
         braces = (_text_element(self, "mo", brace) for brace in "{}")
         for part in (next(braces), self._table(lines), next(braces)):
             row.appendChild(part)
@@ -75,7 +80,7 @@ class _MathmlPrinter(MathMLPresentationPrinter):
         row = self.dom.createElement("mrow")
         negative = term.could_extract_minus_sign()
         row.appendChild(_text_element(self, "mo", "−" if negative else "+"))  # noqa: RUF001
-        row.appendChild(self._print(-term if negative else term))
+        row.appendChild(self.element(-term if negative else term))
         return row
 
     def _table(self, lines: list[list[Any]]) -> Any:
@@ -135,7 +140,7 @@ def mathml(model: Model) -> list[dict[str, Any]]:
         name = f"{item.left[:-1]}_rate" if rate else item.left
         left = _dotted_symbol(printer, name) if rate else _text_element(printer, "mtext", name)
         if item.inertia is not None:
-            left = printer._print(item.inertia)
+            left = printer.element(item.inertia)
         terms = [
             {"owner": term.owner or "system", "math": _signed_term(printer, term.value)}
             for term in item.terms
@@ -147,7 +152,7 @@ def mathml(model: Model) -> list[dict[str, Any]]:
 def _signed_term(printer: _MathmlPrinter, value: sp.Expr) -> str:
     """A term with its sign first; sums are multiplied out no further."""
     negative = value.could_extract_minus_sign() and not value.is_Add
-    body: Any = printer._print(-value if negative else value)
+    body = printer.element(-value if negative else value)
     if _is_stacked(value):
         return body.toxml()
     sign = "−" if negative else "+"  # noqa: RUF001
