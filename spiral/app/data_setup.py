@@ -21,6 +21,7 @@ from spiral.app.drop_zone import drop_zone
 from spiral.app.record_setup import FIT, TEST, Choice, RecordSetup
 from spiral.app.session import Session
 from spiral.types.errors import SpiralError
+from spiral.types.formatting import first_words
 from spiral.types.parameter import BETWEEN
 from spiral.view.report.style import BLUE, ORANGE
 from spiral.view.terminal.shell import option_lines
@@ -73,6 +74,8 @@ class DataSetup:
                     self.rows[use, end] = self._rows_input(use, end, f"{name} {word}")
             ui.button("All rows", on_click=self._take_all_rows).props("flat dense")
         ui.html(f"<p class='soft'>{_SAID}</p>", sanitize=False)
+        lacking = missing_values_note(setup.columns)
+        ui.html(f"<p class='soft'>{escape(lacking)}</p>", sanitize=False)
 
     def show_stretches(self) -> None:
         """Show the stretches as they are chosen; a field that somebody types in is left alone."""
@@ -231,6 +234,14 @@ class DataSetup:
         box = ui.input(value=value, on_change=take_text)
         box.props["aria-label"] = label
         box.props("outlined dense debounce=700")
+
+
+def missing_values_note(columns: Sequence[Mapping[str, Any]]) -> str:
+    """What the marks below the curves are; empty where every row has its value."""
+    counts = [f"{c['missing']} in {c['name']}" for c in columns if c.get("missing")]
+    return (
+        f"Triangles below a curve: rows without a value, {first_words(counts)}." if counts else ""
+    )
 
 
 def stretch_shapes(setup: RecordSetup) -> list[dict[str, Any]]:

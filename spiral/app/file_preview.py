@@ -26,6 +26,7 @@ READING = "reading.json"
 _DRAWN = 6  # columns in the picture
 _FIRST = 3  # numbers that are shown of each
 _MOST = 200  # columns that are listed
+_MARKS = 300  # rows without a value that are marked in the picture of a column
 
 
 Order = Mapping[str, Any]
@@ -57,6 +58,7 @@ def describe_file(order: Order, tell: Tell) -> None:
             "first": replace_nonfinite(v[:_FIRST]),
             "lowest": replace_nonfinite(float(np.nanmin(v))),
             "highest": replace_nonfinite(float(np.nanmax(v))),
+            "missing": int(np.isnan(v).sum()),
         }
         for n, v in numbers.items()
     ]
@@ -111,12 +113,32 @@ def _write_columns_figure(numbers: Mapping[str, Any], table: Table, target: Path
         values = numbers[name]
         draw_line(figure, np.arange(len(values)), values, name, CYCLE[(row - 1) % len(CYCLE)], row,
              width=1.1, showlegend=False)  # fmt: skip
+        _mark_missing(figure, values, row)
         said = "" if name.rstrip().endswith(("]", ")")) else table.units.get(name, "")
         title = axis_title(name[:18], said).replace(" (", "<br>(")
         figure.update_yaxes(title_text=title, title_font_size=13, row=row, col=1)
     figure.update_xaxes(title_text="row", row=len(shown), col=1)
     figure.update_layout(margin={"t": 12})
     write_whole(target, add_hover_text(figure).to_json())
+
+
+def _mark_missing(figure: Any, values: Any, row: int) -> None:
+    """A mark below the curve at each row that lacks its value, at most ``_MARKS`` of them."""
+    import plotly.graph_objects as go
+
+    from spiral.view.report.style import BLACK
+
+    missing = np.flatnonzero(np.isnan(values))
+    if not len(missing):
+        return
+    lowest, highest = np.nanmin(values), np.nanmax(values)
+    shown = missing[np.unique(np.linspace(0, len(missing) - 1, _MARKS).astype(int))]
+    below = np.full(len(shown), lowest - 0.06 * ((highest - lowest) or 1.0))
+    marker = {"symbol": "triangle-up", "size": 9, "color": BLACK}
+    trace = go.Scatter(x=shown.astype(np.float32), y=below.astype(np.float32), mode="markers",
+                       name="no value", marker=marker, showlegend=False,
+                       hovertemplate="<b>no value</b><br>row: %{x:.0f}<extra></extra>")  # fmt: skip
+    figure.add_trace(trace, row=row, col=1)
 
 
 def _describe_systems(plugins: str | None) -> list[dict[str, Any]]:

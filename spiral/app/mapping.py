@@ -18,6 +18,7 @@ from spiral.app.drop_zone import drop_script
 from spiral.app.file_preview import PICTURE, READING
 from spiral.app.file_setup import OpenFile
 from spiral.app.narrow import watch_width
+from spiral.app.press import Press
 from spiral.app.reading_setup import draw_reading_setup
 from spiral.app.record_setup import Choice, RecordSetup
 from spiral.app.session import Session
@@ -42,14 +43,15 @@ class MappingPage:
     version: int = -1
     drawn: dict[str, Any] = field(default_factory=dict)
     regions: dict[str, ui.element] = field(default_factory=dict)
+    press: Press = field(default_factory=Press)
 
     def __post_init__(self) -> None:
         self.desk = DataSetup(self.session, self.ident, self._change_choice)
 
     def refresh(self) -> None:
-        """Draw what has changed."""
+        """Draw what has changed, once no mouse button is down."""
         opened = self.session.file_setup.current_file(self.ident)
-        if opened.version == self.version:
+        if opened.version == self.version or self.press.is_held():
             return
         self.version = opened.version
         for name, build, depends in self._region_builders(opened):
@@ -386,6 +388,7 @@ def file_page(session: Session, ident: str) -> None:
                 form.regions["reading"] = ui.element("section").classes("card")
                 form.regions["model"] = ui.element("section").classes("card")
     watch_width(lambda: form.redraw("columns", "reading"))
+    form.press.watch(form.refresh)
     form.refresh()
     ui.timer(_TICK, form.refresh)
 

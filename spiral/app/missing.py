@@ -10,6 +10,7 @@ from typing import Any
 from nicegui import ui
 
 from spiral.app import frame, horizon_errors, panels
+from spiral.app.narrow import is_narrow
 from spiral.app.own_effect import normalize_effect_name
 from spiral.app.session import LiveStudy, Session
 from spiral.app.study import StudyState, trial_figure_file, turn_folder
@@ -18,6 +19,7 @@ from spiral.types.formatting import number
 from spiral.types.label import name_of
 
 _SHOWN = 5  # candidates before "show all"
+_SHOWN_NARROW = 3  # where figures stand below them
 _OWN = (
     ("name", "Name", "hardening"),
     ("formula", "Force on the machine", "-k3*q**3"),
@@ -103,23 +105,58 @@ class CandidateList:
             button.props("outline").style("margin:10px 0").set_enabled(scene.busy is None)
 
     def _draw_candidates(self, scene: LiveStudy, turn: StudyState) -> None:
-        """The candidates, best first; those of the user and the proposed ones always."""
+        """The candidates, best first, and a button for the others."""
         if not turn.candidates:
             return
-        few = 0 if turn.verdict == "whiteness" else _SHOWN
-        count = len(turn.candidates) if self.every else few
-        always = {*scene.study.own, *turn.proposed}
-        shown = [c for i, c in enumerate(turn.candidates)
-                 if i < count or {c["effect"], name_of(c["effect"])} & always]  # fmt: skip
-        if shown:
+        few = self._least(turn)
+        if self._listed(scene, turn):
             ui.html(f"<p class='soft order'>{panels.ranking_order_note(turn)}</p>", sanitize=False)
-        for candidate in shown:
-            self._draw_candidate(scene, turn, candidate)
+        rows = ui.element("div").classes("candidates")
+        drawn: dict[str, ui.element] = {}
         left = len(turn.candidates) - few
+        more = "more" if few else "candidate" + "s" * (left > 1)
+
+        def said() -> str:
+            return "Show fewer" if self.every else f"Show {left} {more}"
+
+        def toggle() -> None:
+            self.every = not self.every
+            if not few:  # with the words above the list
+                self.again()
+                return
+            self._list_candidates(scene, turn, rows, drawn)
+            button.set_text(said())
+
+        self._list_candidates(scene, turn, rows, drawn)
         if left > 0:
-            more = "more" if few else "candidate" + "s" * (left > 1)
-            said = "Show fewer" if self.every else f"Show {left} {more}"
-            ui.button(said, on_click=self._toggle_all).props("flat dense")
+            button = ui.button(said(), on_click=toggle).props("flat dense")
+
+    def _least(self, turn: StudyState) -> int:
+        """How many candidates are shown before all are asked for."""
+        if turn.verdict == "whiteness":
+            return 0
+        return _SHOWN_NARROW if is_narrow() else _SHOWN
+
+    def _listed(self, scene: LiveStudy, turn: StudyState) -> list[Mapping[str, Any]]:
+        """The candidates that are shown; those of the user and the proposed ones always."""
+        candidates = list(turn.candidates or ())
+        count = len(candidates) if self.every else self._least(turn)
+        always = {*scene.study.own, *turn.proposed}
+        return [c for i, c in enumerate(candidates)
+                if i < count or {c["effect"], name_of(c["effect"])} & always]  # fmt: skip
+
+    def _list_candidates(
+        self, scene: LiveStudy, turn: StudyState, rows: ui.element, drawn: dict[str, ui.element]
+    ) -> None:
+        """Show the candidates in ``rows``; those in ``drawn`` stay, as one may be clicked now."""
+        shown = {c["effect"]: c for c in self._listed(scene, turn)}
+        for effect in drawn.keys() - shown.keys():
+            drawn.pop(effect).delete()
+        for place, (effect, candidate) in enumerate(shown.items()):
+            if effect not in drawn:
+                with rows:
+                    drawn[effect] = self._draw_candidate(scene, turn, candidate)
+                drawn[effect].move(target_index=place)
 
     def _draw_proposal(self, scene: LiveStudy, turn: StudyState) -> None:
         """What the trial of the proposed effect says; where there was none, a button for it."""
@@ -164,10 +201,10 @@ class CandidateList:
             self.wrong = error.as_dict()
         self.again()
 
-    def _draw_candidate(self, scene: LiveStudy, turn: StudyState, candidate: Any) -> None:
+    def _draw_candidate(self, scene: LiveStudy, turn: StudyState, candidate: Any) -> ui.element:
         effect, aliases = candidate["effect"], tuple(candidate["aliases"])
         first = effect in turn.proposed
-        with ui.element("div").classes("effect first" if first else "effect"):
+        with ui.element("div").classes("effect first" if first else "effect") as row:
             ui.html(panels.candidate_title(candidate), sanitize=False)
             add = ui.button("Add", on_click=lambda: self._add_effect(effect, turn.serial))
             filled = first and panels.proposal_message(turn)[1] == "fine"
@@ -183,6 +220,7 @@ class CandidateList:
                     ui.html(panels.indistinguishable_note(aliases), sanitize=False)
                     self._draw_alias_comparison(scene, turn, (effect, *aliases))
                     self._draw_plan(scene, turn, (effect, *aliases))
+        return row
 
     def _draw_trial(self, scene: LiveStudy, turn: StudyState, effect: str) -> None:
         """What an effect does on the test record, and where; a button where that is not known."""
@@ -273,7 +311,3 @@ class CandidateList:
 
     def _contrast_effects(self, effects: tuple[str, ...], serial: int) -> None:
         self.ask(lambda: self.session.contrast(self.ident, effects, serial))
-
-    def _toggle_all(self) -> None:
-        self.every = not self.every
-        self.again()

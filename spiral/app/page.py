@@ -13,9 +13,11 @@ from spiral.app.address import Address, format_address
 from spiral.app.figures import Figures
 from spiral.app.missing import OWN, CandidateList
 from spiral.app.narrow import is_narrow, watch_width
+from spiral.app.press import Press
 from spiral.app.session import LiveStudy, Session
 from spiral.app.side_by_side import NAME, SideBySide
 from spiral.app.study import StudyState
+from spiral.app.tab_row import TabRow
 from spiral.types.errors import SpiralError
 from spiral.view.report.evidence import error_falling
 
@@ -33,7 +35,7 @@ TABS = (
     ("Model", ("coefficients", "campbell")),
 )
 WHERE, MODEL = "Where it fails", "Model"
-FALLING, WORKING, PANEL = "falling", "working", "figures-panel"
+FALLING, WORKING, FIGURES, PANEL = "falling", "working", "figures", "figures-panel"
 FALLING_SAID = "Free-run errors of fit and test after each step, with the noise floor"
 
 
@@ -63,6 +65,8 @@ class StudyView:
     fall: ui.plotly | None = None
     said: ui.label | None = None
     progress: _Progress | None = None
+    press: Press = field(default_factory=Press)
+    tabs: TabRow | None = None
 
     def __post_init__(self) -> None:
         self.client = ui.context.client
@@ -81,13 +85,16 @@ class StudyView:
         return self.session.scene(self.ident)
 
     def refresh(self) -> None:
-        """Draw what has changed since the last look; away, where the study was deleted."""
+        """Draw what has changed since the last look, once no mouse button is down.
+
+        Away, where the study was deleted.
+        """
         if not self.session.is_loaded(self.ident):
             with self.client:
                 ui.navigate.to("/")
             return
         scene = self.scene()
-        if scene.version == self.version:
+        if scene.version == self.version or self.press.is_held():
             return
         self.version = scene.version
         for name, build, depends in self._region_builders(scene):
@@ -95,7 +102,7 @@ class StudyView:
                 continue
             self.drawn[name] = depends
             region = self.regions[name]
-            if name not in (FALLING, WORKING):  # these two are updated in place
+            if name not in (FALLING, WORKING, FIGURES):  # these are updated in place
                 region.clear()
             with region:
                 build(scene)
@@ -148,7 +155,7 @@ class StudyView:
             ("hero", self._draw_headline, headline),
             (FALLING, self._draw_error_curve, (line, study.noise_floor)),
             ("missing", self.missing.build, (candidates, trials, study.trouble)),
-            ("figures", self._draw_figure_tabs, figures),
+            (FIGURES, self._draw_figure_tabs, figures),
             ("beside", self.beside.build, tuple(t.serial for t in study.turns)),
             ("data", self._draw_data, (len(study.records), key, turn.run_id if turn else "")),
             ("links", self._draw_links, links),
@@ -184,7 +191,7 @@ class StudyView:
 
         def show_where() -> None:
             self.tab = WHERE
-            self.redraw("figures")
+            self.redraw(FIGURES)
 
         tour.draw_tour_step(
             scene,
@@ -257,8 +264,11 @@ class StudyView:
             self.fall.update_figure(frame.responsive_figure(figure.to_plotly_json()))
 
     def _draw_figure_tabs(self, scene: LiveStudy) -> None:
+        """Tabs of figures, each kept as others come: a click on one just replaced is lost."""
         turn = scene.study.turn
         if turn is None or not (turn.figures or scene.busy is None):
+            self.regions[FIGURES].clear()
+            self.tabs = None
             said = "Reading, fitting, drawing: figures come in a few seconds."
             ui.html(f"<h2 class='head'>Measured and model</h2><p class='soft'>{said}</p>",
                     sanitize=False)  # fmt: skip
@@ -267,29 +277,30 @@ class StudyView:
         have = {name for name, _, _ in turn.figures}
         known = [t for t, names in TABS if have & set(names) or t == MODEL]
         shown = self.tab if self.tab in known else known[0]
-        ui.html("<h2 class='unseen'>Figures</h2>", sanitize=False)
-        with ui.tabs().props(
-            "align=left no-caps outside-arrows mobile-arrows inline-label"
-        ) as tabs:
-            for title in known:
-                ui.tab(title).props["aria-controls"] = PANEL
-        tabs.set_value(shown)
-        tabs.on_value_change(self._choose_tab)
-        panel = ui.element("div").style("width:100%").props('role="tabpanel" tabindex="0"')
-        panel.props["id"] = PANEL
-        self.regions["tab"] = panel
+        if self.tabs is None:
+            self.regions[FIGURES].clear()
+            self.tabs = self._begin_figure_tabs()
+        self.tabs.show(known, shown)
         self._draw_tab(shown)
 
-    def _choose_tab(self, event: Any) -> None:
-        if event.value and event.value != self.tab:
-            self.tab = event.value
-            self._draw_tab(event.value)
+    def _begin_figure_tabs(self) -> TabRow:
+        ui.html("<h2 class='unseen'>Figures</h2>", sanitize=False)
+        tabs = TabRow(PANEL, self._choose_tab)
+        panel = ui.element("div").style("width:100%").props('role="tabpanel" tabindex="0"')
+        panel.props["id"] = PANEL
+        self.regions[PANEL] = panel
+        return tabs
+
+    def _choose_tab(self, title: str) -> None:
+        if title != self.tab:
+            self.tab = title
+            self._draw_tab(title)
             self._update_address()
 
     def _draw_tab(self, title: str) -> None:
         """Only the figures of the chosen tab travel to the browser."""
         turn = self.scene().study.turn
-        region = self.regions["tab"]
+        region = self.regions[PANEL]
         region.props["aria-label"] = title
         region.clear()
         if turn is None:
@@ -369,9 +380,10 @@ def study_page(session: Session, ident: str, at: Address) -> None:
             view.regions[FALLING].style(f"min-height:{FALL_HEIGHT + 38}px")
         with ui.element("div").classes("split"):
             view.regions["missing"] = ui.element("section").classes("card")
-            view.regions["figures"] = ui.element("section").classes("card")
+            view.regions[FIGURES] = ui.element("section").classes("card")
         view.regions["beside"] = ui.element("section").classes("card")
         view.regions["data"] = ui.element("section").classes("card")
-    watch_width(lambda: view.redraw(FALLING, "missing", "figures", "beside"))
+    watch_width(lambda: view.redraw(FALLING, "missing", FIGURES, "beside"))
+    view.press.watch(view.refresh)
     view.refresh()
     ui.timer(_TICK, view.refresh)

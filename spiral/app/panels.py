@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
@@ -10,7 +11,7 @@ from spiral.app import horizon_errors
 from spiral.app.study import LEARNED, Study, StudyState
 from spiral.types.formatting import digits, error_percent, number, percent, probability
 from spiral.view.report import text
-from spiral.view.report.style import label_words, typeset_formula
+from spiral.view.report.style import label_title, label_words, typeset_formula
 from spiral.view.terminal.preview import is_test_held_out
 from spiral.view.terminal.preview import quiet_test_warning as quiet_test_words
 
@@ -24,6 +25,7 @@ PRELIMINARY = (
     "<b>Preliminary:</b> by one-step predictions, nothing is refitted yet. The best are refitted "
     "now, which may change shares and order. <i>Add</i> comes with the final list."
 )
+_INDEX = re.compile(r"(?<=[^\W\d_])_([A-Za-z\d]{1,2}(?:,[a-z])?)(?![A-Za-z\d])")
 _FAR = 3.0  # times the noise, above which a free run misses more than noise
 ENDINGS = {
     "whiteness": "Nothing more is missing: what is left is white noise.",
@@ -88,14 +90,11 @@ def headline(study: Study) -> str:
     if not line:
         return '<p class="label">Free-run error on the test record</p><div class="number">…</div>'
     now, first = (line[i].result.get("test_error") for i in (-1, 0))
-    value = (
-        error_percent(now)
-        if now is not None
-        else f'<span class="words">{error_percent(now)}</span>'
-    )
-    before = f"<small> from {percent(first)}</small>" if len(line) > 1 else ""
+    kind = "one-line" if now is not None else "words"
+    value = f'<span class="{kind}">{escape(error_percent(now))}</span>'
+    before = f"<small> from {escape(percent(first))}</small>" if len(line) > 1 else ""
     floor = study.noise_floor
-    noise = f" Noise alone makes {percent(floor)}." if floor is not None else ""
+    noise = f" Noise alone makes {escape(percent(floor))}." if floor is not None else ""
     return (
         '<p class="label">Free-run error on the test record</p>'
         f'<div class="number" id="error-now">{value}{before}</div>'
@@ -212,8 +211,13 @@ def effect_meaning(said: str) -> str:
     """A meaning whose formula is not broken where it fits into a line."""
     name, colon, formula = typeset_formula(said).rpartition(": ")
     if "=" not in formula or not colon:
-        return escape(typeset_formula(said))
-    return f'{escape(name)}: <span class="formula">{escape(formula)}</span>'
+        return _lower_indices(typeset_formula(said))
+    return f'{_lower_indices(name)}: <span class="formula">{_lower_indices(formula)}</span>'
+
+
+def _lower_indices(said: str) -> str:
+    """Text as HTML, with the indices of its letters below: ``F_i``, ``k_x``, ``F_c,i``."""
+    return _INDEX.sub(r"<sub>\1</sub>", escape(said))
 
 
 def candidate_evidence(row: Mapping[str, Any]) -> str:
@@ -237,7 +241,7 @@ def ranking_order_note(turn: StudyState) -> str:
     if above:
         names = horizon_errors.join_words([label_words(e) for e in above])
         said += (
-            f" {label_words(first or '').capitalize()} is proposed although {names} "
+            f" {label_title(first or '')} is proposed although {names} "
             f"{'explains' if len(above) == 1 else 'explain'} more there: other data, "
             "which took no part in this order, decide."
         )

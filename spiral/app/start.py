@@ -13,6 +13,7 @@ from spiral.app.drop_zone import drop_script, drop_zone
 from spiral.app.session import Session
 from spiral.io.readers.table import find_file
 from spiral.types.errors import InputError, SpiralError
+from spiral.view.report.style import label_title
 
 
 def start_page(session: Session) -> None:
@@ -134,12 +135,12 @@ def _draw_absent_presets(absent: list[Preset]) -> None:
 def _draw_preset_button(session: Session, name: str, said: str) -> None:
     def create_study() -> None:
         try:
-            ident = session.create(panels.label_words(name).capitalize(), (f"experiment={name}",))
+            ident = session.create(label_title(name), (f"experiment={name}",))
         except SpiralError as error:
             frame.notify_error(error)
             return
         ui.navigate.to(f"/study/{ident}")
 
     with ui.element("button").classes("choice").props('type="button"').on("click", create_study):
-        title = panels.label_words(name).capitalize()
+        title = label_title(name)
         ui.html(f"<b>{escape(title)}</b><span>{escape(said)}</span>", sanitize=False)

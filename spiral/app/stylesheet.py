@@ -74,6 +74,7 @@ h2.head {{ font-size:18px; line-height:1.3; font-weight:650; margin:0 0 8px; }}
   grid-template-columns:minmax(0,1fr) auto; column-gap:12px; align-items:start; }}
 .effect .name {{ font-weight:650; font-size:16px; line-height:1.3; }}
 .effect .meaning {{ color:var(--soft); font-size:14px; line-height:1.4; }}
+sub {{ font-size:.75em; line-height:0; }}
 .formula {{ display:inline-block; }} .own code {{ white-space:nowrap; }}
 .effect .evidence {{ font-size:13.5px; color:var(--soft); margin-top:5px; grid-column:1 / -1;
   display:flex; align-items:center; gap:10px; font-variant-numeric:tabular-nums; }}

@@ -243,6 +243,26 @@ def test_what_reading_changes_is_drawn_before_it_is_fitted(tab, served, files, p
     picture(tab, "reading")
 
 
+def test_a_click_that_ends_the_typing_in_a_field_is_not_lost(tab, served, files, tmp_path):
+    """Leaving the field has the record read anew; the message stays under the mouse meanwhile."""
+    lines = (files / "run1.csv").read_text().splitlines()
+    time, _, force = lines[801].split(",")
+    lines[801] = f"{time},,{force}"
+    (tmp_path / "gap.csv").write_text("\n".join(lines) + "\n")
+    upload(tab, served, tmp_path / "gap.csv")
+    tab.wait_for_selector("#advice button:has-text('record.fill_gaps=1')")
+    tab.focus("input[aria-label='unit of force']")
+    box = tab.locator("#advice button:has-text('fill_gaps')").bounding_box()
+    tab.keyboard.type("N")
+    tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    tab.mouse.down()
+    tab.wait_for_timeout(400)
+    tab.mouse.up()
+    tab.wait_for_selector("li:has-text('gaps filled by interpolation in x: 1 value')")
+    tab.wait_for_selector(BEGIN)
+    assert "force" not in tab.inner_text("#units-taken")  # what was typed counts
+
+
 def test_a_record_without_an_input_needs_a_mouse_alone(tab, served, files, picture):
     """A free swing: nothing drives it, and but for a rate nothing is typed."""
     upload(tab, served, files / "swing.csv", "pendulum")
@@ -254,13 +274,13 @@ def test_a_record_without_an_input_needs_a_mouse_alone(tab, served, files, pictu
     tab.wait_for_selector("main:has-text('at 50 Hz')")
     tab.wait_for_selector("li:has-text('resampled from 100 to 50 Hz')")
     tab.click(".add-effect .q-select >> nth=0")
-    tab.click(".q-menu .q-item:has-text('coulomb friction')")
+    tab.click(".q-menu .q-item:has-text('Coulomb friction')")
     tab.click("button:has-text('Put it in'):enabled")
-    tab.wait_for_selector("[aria-label='value of coulomb friction, level']")
+    tab.wait_for_selector("[aria-label='value of Coulomb friction, level']")
     tab.wait_for_selector(BEGIN)
     picture(tab, "desk-model")
     assert faults(tab) == []
     tab.emulate_media(color_scheme="dark")
     assert faults(tab) == []
-    tab.click("button[aria-label='Remove coulomb friction']")
-    tab.wait_for_selector("[aria-label='value of coulomb friction, level']", state="detached")
+    tab.click("button[aria-label='Remove Coulomb friction']")
+    tab.wait_for_selector("[aria-label='value of Coulomb friction, level']", state="detached")

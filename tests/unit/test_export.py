@@ -7,7 +7,7 @@ import pytest
 import sympy as sp
 
 import spiral
-from spiral.io.export.equation import equation_latex, equation_text, model_equations
+from spiral.io.export.equation import equation_latex, equation_text, flatten_cases, model_equations
 from spiral.io.mathml import mathml
 from spiral.io.registry import load_registry
 from spiral.physics.trace import trace
@@ -111,6 +111,37 @@ def test_the_balance_of_forces_is_what_is_integrated():
     for symbol, value in solved.items():
         exact = traced.rate[traced.states.index(symbol.name.removesuffix("_rate"))].xreplace(at)
         assert float(value.xreplace(named)) == pytest.approx(float(exact), rel=1e-9)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.1])
+def test_cases_within_cases_are_one_list(width):
+    """The corner of a contact is three cases, and two where it has no width."""
+    label = "rub"
+    values = {"rub.stiffness": 5.0, "rub.gap": 2.0, "rub.width": width}
+    model = seed_model(ROTOR, (REGISTRY.effect_from_label(label),), values=values)
+    latex, drawn = equation_latex(model), mathml(model)[0]["terms"][-1]
+    assert drawn["owner"] == label
+    assert drawn["math"].count("<mtable>") == 1
+    assert drawn["math"].count("<mtr>") == (3 if width else 2)
+    assert "piecewise" not in drawn["math"]
+    assert latex.count(r"\begin{cases}") == 2  # one for each axis
+    assert "infty" not in latex
+
+
+def test_cases_as_one_list_have_the_value_of_the_nested_ones():
+    x, a, b = sp.symbols("x a b", real=True)
+    inner = sp.Piecewise((a, x < -1), (b, x < 0), (x, True), evaluate=False)
+    nested = sp.Piecewise((inner, x < 1), (sp.Piecewise((1, x < 2), (2, True)), True),
+                          evaluate=False)  # fmt: skip
+    flat = flatten_cases(nested)
+    assert not any(v.has(sp.Piecewise) for v, _ in flat.args)
+    for at in (-2, -0.5, 0.5, 1.5, 3):
+        assert flat.subs(x, at) == nested.subs(x, at)
+
+
+def test_an_index_stands_below_its_letter():
+    terms = mathml(seed_model(ROTOR, values={}))[0]["terms"]
+    assert "<msub><mi>stiffness</mi><mi>x</mi></msub>" in terms[0]["math"]
 
 
 def test_every_effect_has_its_line():

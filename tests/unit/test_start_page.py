@@ -2,6 +2,7 @@
 
 from spiral.app.start import presets
 from spiral.io.config import experiments
+from spiral.view.report.style import label_title, label_words
 
 
 def by_name():
@@ -23,3 +24,11 @@ def test_every_preset_has_a_sentence_and_the_demo_is_first():
     assert found[0].name == "rotor_coastdown"
     assert {p.name for p in found} <= set(experiments())
     assert all(len(p.said) > 20 for p in found)
+
+
+def test_names_of_people_and_makes_are_written_as_they_are():
+    assert label_title("rk4_rotor_runup") == "RK4 rotor runup"
+    assert label_title("rotor_coastdown") == "Rotor coastdown"
+    assert label_words("bouc_wen@bearing_2") == "Bouc-Wen at bearing 2"
+    assert label_words("coulomb_friction") == "Coulomb friction"
+    assert label_words("bricks4") == "bricks4"  # no part of a word

@@ -134,7 +134,8 @@ def equation_latex(model: Model) -> str:
     rows = []
     for item in listed:
         for index, term in enumerate(item.terms):
-            text = sp.latex(_rename_and_round(term.value, _latex_name), mul_symbol=r"\,")
+            value = flatten_cases(_rename_and_round(term.value, _latex_name))
+            text = sp.latex(value, mul_symbol=r"\,")
             text = text if text.startswith("-") or index == 0 else f"+ {text}"
             owner = latex_text(term.owner or "system")
             left = _latex_left(item) + " &= " if index == 0 else "&\\quad "
@@ -310,7 +311,35 @@ class _Unicode(StrPrinter):
             return f"max({self._print(first)}, 0)"
         if isinstance(last, sp.Piecewise) and last.args[0].args[0] == 0:  # spiral.math.ramp
             return f"max({self._print(first)}, 0)"
-        return f"[{self._print(first)} where {self._print(condition)}, else {self._print(last)}]"
+        cases = case_list(expr)
+        told = [f"{self._print(v)} where {self._print(c)}" for v, c in cases if c != sp.true]
+        told += [f"else {self._print(v)}" for v, c in cases if c == sp.true]
+        return f"[{', '.join(told)}]"
+
+
+def case_list(value: sp.Piecewise) -> list[tuple[Any, Any]]:
+    """Values with their conditions, the first that holds counts: cases of cases as one list.
+
+    A case without a value (0 / 0, where a rounded corner is given no width) is never reached: those
+    before it leave it no point.
+    """
+    pairs: Any = value.args
+    listed: list[tuple[Any, Any]] = []
+    for one, condition in pairs:
+        inner = case_list(one) if isinstance(one, sp.Piecewise) else [(one, sp.true)]
+        if inner[-1][1] != sp.true:  # what holds nowhere in it would fall to later cases
+            inner = [(one, sp.true)]
+        listed += [(v, condition if c == sp.true else sp.And(condition, c)) for v, c in inner]
+    kept = [(v, c) for v, c in listed if not v.has(sp.zoo, sp.nan)]
+    if len(kept) < len(listed) and kept:
+        kept[-1] = (kept[-1][0], sp.true)
+    return kept
+
+
+def flatten_cases(value: Any) -> Any:
+    """An expression in which no cases stand within cases."""
+    swap = {one: sp.Piecewise(*case_list(one), evaluate=False) for one in value.atoms(sp.Piecewise)}
+    return value.xreplace(swap)
 
 
 def _is_positive_part(value: Any, condition: Any) -> bool:

@@ -15,5 +15,6 @@ def math_style() -> str:
     return (
         f"@font-face{{font-family:'Equations';src:url(data:font/woff;base64,{text})}}"
         "math{font-family:'Equations',math;font-size:20px}"
+        "math mtd{text-align:-webkit-left;padding:.15em .3em}"
         "math mover>mo{font-weight:bold;font-size:1.3em}"  # one dot or two, seen at a glance
     )

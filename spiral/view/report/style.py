@@ -55,9 +55,25 @@ _SYMBOLS = {
 }  # fmt: skip
 
 
+_PROPER = {
+    "bouc wen": "Bouc-Wen", "coulomb": "Coulomb", "fmu": "FMU", "iwan": "Iwan",
+    "jenkins": "Jenkins", "lugre": "LuGre", "rk4": "RK4", "silverbox": "Silverbox",
+    "stribeck": "Stribeck",
+}  # fmt: skip
+"""Names of people and of makes among the words of labels, as they are written."""
+_PROPER_WORDS = re.compile(rf"\b({'|'.join(_PROPER)})\b")
+
+
 def label_words(label: str) -> str:
-    """``cross_stiffness@bearing_2`` as ``cross stiffness at bearing 2``."""
-    return label.replace("@", " at ").replace("_", " ")
+    """``cross_stiffness@bearing_2`` as ``cross stiffness at bearing 2``; names as written."""
+    words = label.replace("@", " at ").replace("_", " ")
+    return _PROPER_WORDS.sub(lambda m: _PROPER[m.group()], words)
+
+
+def label_title(label: str) -> str:
+    """``cross_stiffness`` as ``Cross stiffness``: what a sentence begins with."""
+    words = label_words(label)
+    return words[:1].upper() + words[1:]
 
 
 def typeset_formula(meaning: str) -> str:

@@ -15,7 +15,7 @@ from spiral.types.run import estimate_rows
 from spiral.view.report.evidence import result_rounds
 from spiral.view.report.markup import safe_mathml
 from spiral.view.report.sketch import sketch_figure
-from spiral.view.report.style import label_words, scale_to_prefix, typeset_unit
+from spiral.view.report.style import label_title, label_words, scale_to_prefix, typeset_unit
 from spiral.view.terminal.shell import option_lines
 
 Saved = Mapping[str, Any]
@@ -286,7 +286,7 @@ def caveat_section(saved: Saved, curves: Curves | None) -> str:
     result = saved["result"]
     notes = [said for r in result_rounds(result) for said in _round_caveats(r)]
     notes += [
-        f"{label_words(s['effect']).capitalize()} cannot be told from "
+        f"{label_title(s['effect'])} cannot be told from "
         f"{', '.join(map(label_words, s['aliases']))}."
         for s in result.get("suggestions", ())
         if s.get("aliases")
@@ -320,13 +320,13 @@ def _round_caveats(r: Saved) -> list[str]:
 def ambiguity_notes(r: Saved) -> list[str]:
     """Sentences on what a round's record cannot tell apart or could not have found."""
     notes = [
-        f"{label_words(effect).capitalize()} cannot be told from "
+        f"{label_title(effect)} cannot be told from "
         f"{', '.join(map(label_words, others))} on this record."
         for effect, others in (r.get("aliases") or {}).items()
         if others
     ]
     notes += [
-        f"{label_words(effect).capitalize()} could not have been found: on this record "
+        f"{label_title(effect)} could not have been found: on this record "
         f"{', '.join(map(label_words, owners))} would explain it as well."
         for effect, owners in ((r.get("details") or {}).get("not_separable") or {}).items()
     ]
