@@ -378,8 +378,10 @@ def _records(given: Records) -> tuple[Record, ...]:
     ------
     ConfigError : what is none: a system where the arguments were exchanged, the path of a file.
     """
-    records = (given,) if isinstance(given, Record) or not isinstance(given, Iterable) else given
-    records = (records,) if isinstance(records, str | Mapping) else tuple(records)
+    one_or_more: Any = given
+    if isinstance(given, Record | str | Mapping) or not isinstance(given, Iterable):
+        one_or_more = (given,)
+    records = tuple(one_or_more)
     for one in records:
         if not isinstance(one, Record):
             raise ConfigError(

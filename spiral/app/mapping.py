@@ -317,7 +317,9 @@ class MappingPage:
             ui.html(f"<p class='soft'>Still to choose: {escape(', '.join(lacking))}.</p>",
                     sanitize=False)  # fmt: skip
         elif setup.seen:
-            ui.html(panels.records_table(setup.seen), sanitize=False).classes("wide w-full")
+            ui.html(panels.records_table(setup.seen), sanitize=False).classes("wide w-full").props(
+                "tabindex=0"
+            )
             ui.html(panels.units_note(setups.units_taken(setup)), sanitize=False)
             said = f"{panels.test_split_note(setup.seen)} Are the ranges those of your machine?"
             ui.html(f"<p class='soft' style='margin-top:8px' id='apart'>{escape(said)}</p>",

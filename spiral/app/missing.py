@@ -231,8 +231,12 @@ class CandidateList:
             button.props("flat dense").classes("try").set_enabled(scene.busy is None)
             button.props["aria-label"] = f"Try {panels.label_words(effect)} on the test record"
             return
-        ui.html(horizon_errors.trial_changes(trial["changes"]), sanitize=False).classes("wide")
-        ui.html(panels.sign_warnings(trial.get("signs") or {}), sanitize=False).classes("wide")
+        ui.html(horizon_errors.trial_changes(trial["changes"]), sanitize=False).classes(
+            "wide"
+        ).props("tabindex=0")
+        ui.html(panels.sign_warnings(trial.get("signs") or {}), sanitize=False).classes(
+            "wide"
+        ).props("tabindex=0")
         for what, (title, said) in _SHOWS.items():
             if not trial.get("drawn" if what == "why" else "pushes"):
                 continue

@@ -43,7 +43,10 @@ def draw_model_setup(setup: RecordSetup, now: Callable[[], Choice], change: Chan
             box.on_value_change(functools.partial(switch_effect, label))
             ui.html(panels.effect_meaning(effect["meaning"]), sanitize=False).classes("soft")
     _draw_added_effects(setup, now, change)
-    with ui.element("div").classes("wide"), ui.element("div").classes("parameters"):
+    with (
+        ui.element("div").classes("wide").props("tabindex=0"),
+        ui.element("div").classes("parameters"),
+    ):
         for head in ("parameter", "value (SI)", "unit", "bounds", "found by the fit"):
             ui.html(f"<b>{head}</b>", sanitize=False)
         for row in setup.model["parameters"]:

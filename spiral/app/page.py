@@ -320,7 +320,9 @@ class StudyView:
         study = scene.study
         with ui.expansion("The data, and this as a command and in Python").classes("w-full"):
             if study.records:
-                ui.html(panels.records_table(study.records), sanitize=False).classes("wide w-full")
+                ui.html(panels.records_table(study.records), sanitize=False).classes(
+                    "wide w-full"
+                ).props("tabindex=0")
             frame.draw_local_plugins(self.session)
             ui.html("<p class='soft' style='margin:12px 0 4px'>The same from a terminal:</p>",
                     sanitize=False)  # fmt: skip

@@ -66,7 +66,10 @@ def _draw_study_tables(
 
 
 def _draw_study_table(session: Session, entries: Sequence[Study], draw: Callable[[], None]) -> None:
-    with ui.element("div").classes("wide"), ui.element("table").classes("plain studies"):
+    with (
+        ui.element("div").classes("wide").props("tabindex=0"),
+        ui.element("table").classes("plain studies"),
+    ):
         with ui.element("tr"):
             for head in _HEADS:
                 said = escape(head) or "<span class='unseen'>more</span>"

@@ -66,6 +66,7 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
         best = _likeliest(tried)
         if agrees or (best.estimate.converged and is_random_force_small(best)):
             break
+    best = _likeliest(tried)
     best = _likeliest([best, *_refit_runaway_values(assembly, state, best, progress)])
     progress("most likely values of the model as it is")
     fit = fit_by_likelihood(assembly, best.state, rough=True)

@@ -102,7 +102,7 @@ def html_table(
         + "</tr>"
         for row in rows
     )
-    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
+    return f'<div class="wide" tabindex="0"><table><tr>{head}</tr>{body}</table></div>'
 
 
 def report_header(saved: Saved, curves: Curves | None) -> str:
@@ -256,7 +256,7 @@ def _equation_table(equations: Sequence[Mapping[str, Any]]) -> str:
                 f"<tr><td>{left}</td><td>{body}</td>"
                 f'<td class="owner">{escape(label_words(term["owner"]))}</td></tr>'
             )
-    return f'<div class="wide"><table class="equation">{"".join(rows)}</table></div>'
+    return f'<div class="wide" tabindex="0"><table class="equation">{"".join(rows)}</table></div>'
 
 
 def format_with_unit(value: float | None, unit: str) -> str:
