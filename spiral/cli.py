@@ -14,6 +14,7 @@ import io
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -111,6 +112,8 @@ def entry() -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # its encoding may lack characters that we write
+    if not sys.warnoptions:  # NumPy's of a model that runs away: the result says so in words
+        warnings.simplefilter("ignore", RuntimeWarning)
     signal.signal(signal.SIGTERM, _exit_on_sigterm)
     code = main()
     try:

@@ -36,6 +36,8 @@ def _elementary_function(name: str) -> Any:
 
 sin = _elementary_function("sin")
 cos = _elementary_function("cos")
+sinh = _elementary_function("sinh")
+cosh = _elementary_function("cosh")
 tanh = _elementary_function("tanh")
 exp = _elementary_function("exp")
 log = _elementary_function("log")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +34,11 @@ def run_and_save_curves(study: Command, step: Callable[[Command], Outcome]) -> O
     if not top_level_options(study.config).curves:
         return outcome
     from spiral.io.compute_curves import gather_curves
-    from spiral.io.curves import write_curves
+    from spiral.io.curves import FINAL, write_curves
 
+    if not isfinite(compared[FINAL].fit_error):
+        study.tell("no curves for the report: the fit diverged")
+        return outcome
     folder = Path(study.config["out"]).expanduser() / outcome.result["run_id"]
     try:
         write_curves(gather_curves(outcome.parts["problem"], compared, study.tell), folder)

@@ -46,8 +46,8 @@ def silent(message: str) -> None:
 class Settings:
     """Levels and sizes of the statistics; plain numbers with the field's usual values.
 
-    Parameters
-    ----------
+    Fields
+    ------
     level : family-wise error of a whole study, spent over its rounds.
     smallest : smallest change of the predicted response that counts, in noise standard deviations.
     max_rounds : rounds after which the loop stops.

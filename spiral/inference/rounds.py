@@ -67,6 +67,7 @@ def rank_last_round(
         last,
         suggestions=step.suggestions,
         rejected={**assembly.left_out, **step.rejected},
+        left_out=dict(assembly.left_out),
         details={**last.details, **step.details},
     )
     at = Checkpoint((*at.rounds[:-1], ranked), fit_state)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from spiral.engine.filter.observer import Observer
 from spiral.engine.gate import Gate
 from spiral.inference.strategies.base import Strategy
-from spiral.io.conformance import derivatives, observers, physics, regression
+from spiral.io.conformance import derivatives, observers, physics, regression, simulation
 from spiral.io.registry import error_summary
 from spiral.types.derivative import Derivative
 from spiral.types.effect import (
@@ -117,20 +117,12 @@ def check_system(system: System) -> list[Check]:
                 lambda: physics.check_equation_units(system, system.seed),
                 _UNITS,
             ),
-            (
-                "mass",
-                lambda: physics.check_mass_matrix(system),
-                "one row and column for each coordinate, symmetric",
-            ),
+            ("mass", lambda: physics.check_mass_matrix(system), _MASS),
             ("units of the equations", lambda: physics.check_system_equations(system), _UNITS),
             ("injections", lambda: physics.check_injections(system), ""),
             ("jacobians", lambda: physics.check_jacobians(whole), _SMOOTH),
             ("finite at rest", lambda: physics.check_finite_values(whole), _REST),
-            (
-                "simulates",
-                lambda: physics.check_simulation(system),
-                "nominal values of a stable motion",
-            ),
+            ("simulates", lambda: simulation.check_simulation(system), _STABLE),
         ],
     )
 
@@ -338,16 +330,25 @@ _SAY = "a first line that says what it is, and a line with its equation: F = -k 
 _UNITS = "units relative to the port (force, position, velocity) or absolute ones such as kg*m^2"
 _TRACE = "plain arithmetic and functions of spiral.math; where(...) in place of if"
 _SMOOTH = "functions with derivatives: tanh(v / w) or where(...) in place of jumps"
+_MASS = "one row and column for each coordinate, symmetric"
 _REST = "avoid x / |x| and roots at zero: spiral.math.length stays smooth there"
+_STABLE = "nominal values of a stable motion"
 _LINEAR = "amplitudes as plain factors; role='shape' for gaps, widths and exponents"
 # After one of these has failed, the checks behind it are meaningless and are not run.
 _ESSENTIAL = ("fits", "names", "parameters", "traces", "fields", "loads", "reconstructs",
               "takes a round")  # fmt: skip
 
 
+# What fails where one of these has failed says nothing of its own and is left out.
+_RESTS_ON = {"jacobians": ("mass",), "finite at rest": ("mass",),
+             "simulates": ("mass", "finite at rest")}  # fmt: skip
+
+
 def _run_checks(on: str, steps: Sequence[Step]) -> list[Check]:
     checks: list[Check] = []
     for name, step, advice in steps:
+        if any(c.name in _RESTS_ON.get(name, ()) for c in failed(checks)):
+            continue
         checks.append(_run_step(name, on, step, advice))
         if not checks[-1].passed and name in _ESSENTIAL:
             break

@@ -275,6 +275,7 @@ class Diagnosis(Readable):
 class Round:
     """One round of the discovery loop; 0 is the seed. ``rejected``: refused candidates -> why.
 
+    ``left_out`` are those of them that the records of the whole study cannot be asked about.
     ``details`` log, as plain data, how the strategy came from this round's model to the next
     proposal; ``changes`` say at each horizon whether the step to this round predicts unseen data
     better than the round before.
@@ -292,6 +293,7 @@ class Round:
     retired: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
     changes: tuple[Change, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data, as ``--json`` writes it."""

@@ -128,17 +128,29 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
     except pint.UndefinedUnitError as error:
         raise InputError(
             f"unit {given!r} of {what}",
-            f"a unit of {wanted!r}",
+            f"a unit of {_wanted_words(wanted)}",
             "write it as in 'um', 'mm/s', 'm/s^2', 'deg', 'rpm', 'Hz', 'degC', 'l/min', 'V'",
         ) from error
     except (pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
         raise InputError(
             f"unit {given!r} of {what}",
-            f"a unit that converts to {wanted!r}",
-            f"correct record.units, or give a column measured in {wanted!r}",
+            f"a unit that converts to {_wanted_words(wanted)}",
+            f"correct record.units, or give a column measured in {_wanted_words(wanted)}",
         ) from error
     except Exception as error:  # pint's parser raises what Python's tokenizer does
-        raise InputError(f"unit {given!r} of {what}", f"a unit such as {wanted!r}") from error
+        bare = wanted in _NONE
+        raise InputError(
+            f"unit {given!r} of {what}",
+            f"{_wanted_words(wanted)}: 1, '%' or 'ppm'" if bare else f"a unit such as {wanted!r}",
+            f"a column multiplied by the factor, where {given!r} is one" if bare else "",
+        ) from error
+
+
+_NONE = ("", "1")  # the unit of a number without a unit
+
+
+def _wanted_words(unit: str) -> str:
+    return "a number without a unit" if unit in _NONE else repr(unit)
 
 
 def _linear_conversion(given: str, wanted: str) -> tuple[float, float]:

@@ -1,10 +1,12 @@
 """Help of a verb lists the plugins of each group; nothing that is broken breaks it."""
 
 import time
+from dataclasses import fields
 
 import pytest
 
 from spiral.cli import main
+from spiral.inference.problem import Settings
 from spiral.io.registry import load_registry
 
 OWN = '''
@@ -64,6 +66,17 @@ def test_help_of_a_group_and_of_a_plugin(capsys):
     assert "record.path=null" in out
     assert main(["discover", "--help", "sytem"]) == 2
     assert "did you mean 'system'" in capsys.readouterr().err
+
+
+def test_help_of_the_settings(capsys):
+    """Each with its usual value and its meaning, from the docstring of their class."""
+    code, out = told(capsys, "discover", "--help", "settings")
+    assert code == 0
+    for item in fields(Settings):
+        assert f"settings.{item.name}=" in out
+    assert "settings.learned=false\n        whether discover admits a learned curve" in out
+    assert main(["discover", "--help", "setings"]) == 2
+    assert "did you mean 'settings'" in capsys.readouterr().err
 
 
 def test_help_without_plugins_that_load(capsys):

@@ -2,6 +2,7 @@
 
 import pickle
 
+import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import given, settings
@@ -63,6 +64,18 @@ def test_an_expression_is_the_effect_of_a_file(label, system, text, options):
         assert dimension(port.unit(parameter.unit)) == dimension(port.unit(same.unit))
         assert parameter.role == same.role
         assert parameter.per_axis == (same.per_axis and len(port.axes) > 1)
+
+
+@pytest.mark.parametrize("name", ["sinh", "cosh", "tanh"])
+def test_hyperbolic_functions_are_those_of_numbers_symbols_and_units(name):
+    function, x = getattr(np, name), sp.Symbol("x")
+    assert compute(f"{name}(x/w)", {"x": 0.7, "w": 2.0}) == pytest.approx(function(0.35))
+    assert compute(f"{name}(x)", {"x": x}) == getattr(sp, name)(x)
+    own = effect_from_expression("own", f"-k*{name}(x/w)", OSCILLATOR, shape={"w": 0.5})
+    assert [p.unit for p in own.parameters] == ["force", "position"]
+    check_units(OSCILLATOR, own)
+    with pytest.raises(ConfigError, match=f"{name} of a value without a unit"):
+        effect_from_expression("own", f"-k*{name}(x)", OSCILLATOR)
 
 
 def test_a_grid_is_scaled_by_position_or_velocity():

@@ -72,6 +72,29 @@ def test_the_python_module_runs_as_we_do(machine, tmp_path):
     assert all(module.UNITS[k] == known(k) for k in module.PARAMETERS)
 
 
+HYPERBOLIC = """
+equations: ["x' = -a*sinh(x/w)*cosh(x/w) + b*tanh(x/w)"]
+states: {x: V}
+parameters: {a: 0.7 V/s, b: 0.3 V/s, w: 2 V}
+free: [a]
+observed: [x]
+"""
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_hyperbolic_functions_of_a_file_are_in_every_text(kind, tmp_path):
+    """x' of the Python module is that of the formula; the others name the functions."""
+    system = REGISTRY.make("system", "equations", {"text": HYPERBOLIC})
+    model = replace(seed_model(system), values=dict(system.defaults))
+    text = spiral.export(model, kind)
+    assert all(name in text for name in ("sinh", "cosh", "tanh"))
+    if kind == "python":
+        wanted = -0.7 * np.sinh(0.6) * np.cosh(0.6) + 0.3 * np.tanh(0.6)
+        same(module_of(text, tmp_path).rhs(0.0, [1.2], []), np.array([wanted]))
+    if kind == "c" and shutil.which("gcc"):
+        compiled(text, tmp_path)
+
+
 @pytest.fixture(scope="module")
 def hysteresis():
     """A model that has all values, for what is not about its motion."""

@@ -36,6 +36,18 @@ def test_factor_and_zero_of_units(given, wanted, one, zero):
     assert conversion(given, wanted, "x") == pytest.approx((one, zero), rel=1e-12, abs=1e-9)
 
 
+@pytest.mark.parametrize("wanted", ["", "1"])
+def test_of_a_number_without_a_unit_the_message_names_units_that_fit(wanted):
+    """A scale is no unit; percent and millionths are."""
+    with pytest.raises(InputError) as caught:
+        conversion("1e-5", wanted, "rho")
+    for word in ("'1e-5' of rho", "a number without a unit: 1, '%' or 'ppm'", "multiplied"):
+        assert word in str(caught.value)
+    assert conversion("ppm", wanted, "rho") == pytest.approx((1e-6, 0.0))
+    with pytest.raises(InputError, match="converts to a number without a unit"):
+        conversion("m", wanted, "rho")
+
+
 def test_differences_have_no_zero():
     assert factor("W/degC", "W/K", "G") == 1.0
     assert factor("J/(kg*degC)", "J/(kg*K)", "c") == 1.0

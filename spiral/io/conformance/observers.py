@@ -9,7 +9,7 @@ import numpy as np
 from spiral.engine.filter.observer import Observer, Reconstruction
 from spiral.engine.filter.task import FilterInput, prepare_task
 from spiral.inference.simulate import simulate, with_defaults
-from spiral.io.conformance.physics import stable_time_step
+from spiral.io.conformance.simulation import stable_time_step
 from spiral.types.errors import ConfigError, PluginError
 from spiral.types.model import seed_model
 from spiral.types.record import Array

@@ -17,22 +17,27 @@ import numpy as np
 
 from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
+from spiral.types.fields import field_names
 from spiral.types.label import parameter_of
 from spiral.types.parameter import Parameter
 from spiral.types.placement import model_keys
 from spiral.types.plugin import Plugin
 from spiral.types.record import Array
-from spiral.types.system import System, has_coordinates
+from spiral.types.system import MechanicalSystem, System, has_coordinates
 
 if TYPE_CHECKING:
     from spiral.physics.compile import CompiledModel
-    from spiral.types.model import Model
 
 _STEP, _TOLERANCE, _EXACT = 1e-5, 1e-5, 1e-12
 _FRACTION = 0.1  # of a drawn amplitude, where a parameter varies
 _SMALL = 1e-4  # amplitudes at which a reading is linear, if it is so to leading order
 _DRAWS = 16
-_SAMPLES = 8192  # of the short simulated record: exp(819) of the fastest motion is infinite
+_SPREAD = 0.02  # of a value that was given, within which others are tried
+_SIZES = (1.0, 0.1, 0.01, 1e-3)  # of states and inputs, tried in turn until values are finite
+_GUARD = "guard roots, logarithms and quotients: functions of spiral.math, where(x > 0, ..., 0)"
+_GUARD_IN_FILE = (
+    "maximum(x, small) in a quotient, root or logarithm, with small among the constants"
+)
 
 
 @dataclass(frozen=True)
@@ -71,16 +76,21 @@ class Physics:
         return value, by_x, by_p
 
     def draw_point(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-        """Random states, inputs and parameters, the last within their bounds.
+        """Random states, inputs and parameters, the last near given values or within their bounds.
 
         Parameters that vary change by a fraction: a mass that passes zero has no acceleration.
+        States and inputs are smaller where an exponential overflows.
         """
-        traced = self.compiled.traced
+        traced, given = self.compiled.traced, _given_values(self.system)
         x, u = (rng.normal(size=len(names)) for names in (traced.states, traced.inputs))
-        p = np.array([_value_in_bounds(q, rng.uniform(0.3, 0.9)) for q in traced.parameters])
+        pairs = zip(traced.keys, traced.parameters, strict=True)
+        p = np.array([_value_near(q, given.get(k), rng.uniform(0.3, 0.9)) for k, q in pairs])
         for effect in self.effects or ():
             if isinstance(effect, ParameterEffect):
                 p[self.amplitudes(effect)] *= _FRACTION
+        for size in _SIZES:
+            if all(np.isfinite(part).all() for part in self.evaluate(size * x, size * u, p)):
+                return size * x, size * u, p
         return x, u, p
 
     def amplitudes(self, effect: Effect) -> Array:
@@ -89,6 +99,22 @@ class Physics:
         pairs = zip(traced.keys, traced.parameters, strict=True)
         own = [k.startswith(f"{effect.label}.") and q.role == "amplitude" for k, q in pairs]
         return np.array(own, dtype=bool)
+
+
+def _given_values(system: System) -> dict[str, float]:
+    """Values that the author of a system gave, by key."""
+    first = {f"system.{q.name}": q.start for q in system.parameters if q.start is not None}
+    return {**first, **system.defaults}
+
+
+def _value_near(parameter: Parameter, given: float | None, share: float) -> float:
+    """Within ``_SPREAD`` of a value that was given (share 0.6: itself); else as bounds allow."""
+    low, high = (b if b is not None else s * np.inf for b, s in zip(
+        (parameter.lower, parameter.upper), (-1, 1), strict=True))  # fmt: skip
+    if given is None or not low < given < high:
+        return _value_in_bounds(parameter, share)
+    near = given * (1 + _SPREAD * (share - 0.6) / 0.3)
+    return near if low < near < high else given
 
 
 def _value_in_bounds(parameter: Parameter, share: float) -> float:
@@ -185,45 +211,57 @@ def check_jacobians(physics: Physics) -> str:
     """f_x, f_p, h_x, h_p against central differences at random states and parameters."""
     rng = np.random.default_rng(1)
     worst = max(_worst_jacobian_error(physics, *physics.draw_point(rng)) for _ in range(_DRAWS))
-    return f"{worst:.0e} from central differences"
+    return f"within {worst:.0e} of their size from central differences"
 
 
 def _worst_jacobian_error(physics: Physics, x: Array, u: Array, p: Array) -> float:
+    """Largest error as a share of what is there, each state and parameter moved by a share."""
     names = (*physics.compiled.traced.states, *physics.compiled.traced.keys)
     value, *slopes = physics.evaluate(x, u, p)
-    _require_finite_rows(physics, value, np.hstack(slopes))
+    require_finite_rows(physics, value, np.hstack(slopes))
     size = np.full(len(value), np.abs(value[: len(x)]).max())  # of rates, then of readings
     size[len(x) :] = np.abs(value[len(x) :]).max()
     point = np.concatenate([x, p])
+    scales = np.concatenate([np.full(len(x), np.abs(x).max(initial=0.0)), np.abs(p)])
+    scales[scales == 0] = 1.0
     worst = 0.0
-    for name, given, d in zip(names, np.hstack(slopes).T, _STEP * np.eye(len(point)), strict=True):
-        above, below = (
-            physics.evaluate(z[: len(x)], u, z[len(x) :])[0] for z in (point + d, point - d)
-        )
-        slope = (above - below) / (2 * _STEP)
-        allowed = _TOLERANCE * (np.abs(slope) + size)
-        error = np.abs(given - slope)
-        if not np.all(error <= allowed):
+    for name, given, d in zip(names, np.hstack(slopes).T, np.diag(scales), strict=True):
+        ends = (point + _STEP * d, point - _STEP * d)
+        above, below = (physics.evaluate(z[: len(x)], u, z[len(x) :])[0] for z in ends)
+        slope = (above - below) / (2 * _STEP)  # by the share of the scale
+        there = np.abs(slope) + size
+        error = np.abs(given * d.max() - slope) / np.where(there > 0, there, 1.0)
+        if not np.all(error <= _TOLERANCE):
             raise PluginError(
-                f"derivative by {name!r} off by {np.max(error):.2g}",
-                f"at most {allowed.min():.2g} from the central difference",
+                f"derivative by {name!r} off by {np.max(error):.2g} of its size",
+                f"at most {_TOLERANCE:.0e} from the central difference",
             )
         worst = max(worst, float(np.max(error)))
     return worst
 
 
-def _require_finite_rows(physics: Physics, value: Array, slopes: Array) -> None:
+def require_finite_rows(physics: Physics, value: Array, slopes: Array) -> None:
     """An error that names the first rate or reading which is no number at some states."""
     rows = ~(np.isfinite(value) & np.isfinite(slopes).all(axis=1))
     if rows.any():
-        traced = physics.compiled.traced
-        names = [*(f"rate of {n!r}" for n in traced.states),
-                 *(f"reading {n!r}" for n in traced.channels)]  # fmt: skip
         raise PluginError(
-            f"the {names[int(np.argmax(rows))]} or a slope of it is not a number at some states",
+            f"the {_row_names(physics)[int(np.argmax(rows))]} or a slope of it is not a number "
+            "at some states",
             "finite numbers at all states, negative ones and zero included",
-            "guard roots, logarithms and quotients: functions of spiral.math, where(x > 0, ..., 0)",
+            _guard_advice(physics.system) or _GUARD,
         )
+
+
+def _guard_advice(system: System) -> str:
+    """What to try where a value is not finite, for formulas of a file; nothing for a class."""
+    return _GUARD_IN_FILE if "text" in field_names(type(system)) else ""
+
+
+def _row_names(physics: Physics) -> list[str]:
+    """What stands in the rows of ``evaluate``: rates of states, then readings."""
+    traced = physics.compiled.traced
+    rates = [f"rate of {n!r}" for n in traced.states]
+    return [*rates, *(f"reading {n!r}" for n in traced.channels)]
 
 
 def check_finite_values(physics: Physics) -> str:
@@ -234,14 +272,19 @@ def check_finite_values(physics: Physics) -> str:
     kept = np.array([k.startswith("system.") or q.role == "shape" for k, q in pairs], dtype=bool)
     for amplitude in (0.0, 1.0):
         given = np.where(kept, p, amplitude)
-        for where, at in (("at rest", (0 * x, 0 * u, given)), ("in motion", (x, u, given))):
+        for where, at in (
+            ("at rest (states and inputs 0)", (0 * x, 0 * u, given)),
+            ("in motion", (x, u, given)),
+        ):
             parts = zip(("value", "slope by x", "slope by p"), physics.evaluate(*at), strict=True)
             for what, part in parts:
                 if not np.isfinite(part).all():
+                    row = int(np.argmax(~np.isfinite(part.reshape(len(part), -1)).all(axis=1)))
                     raise PluginError(
-                        f"{what} {part[~np.isfinite(part)][0]} {where} "
-                        f"with amplitudes {amplitude:g}",
+                        f"{what} {part[~np.isfinite(part)][0]} of the {_row_names(physics)[row]} "
+                        f"{where} with amplitudes {amplitude:g}",
                         "finite numbers",
+                        _guard_advice(physics.system),
                     )
     return "with amplitudes 0 and 1"
 
@@ -367,12 +410,7 @@ def check_mass_matrix(system: System) -> str:
             f"injections {', '.join(i.name for i in system.injections)}",
             f"one for each coordinate, named like it: {', '.join(coordinates)}",
         )
-    rng = np.random.default_rng(5)
-    beside = [s.name for s in system.others]
-    q = SimpleNamespace(**{n: rng.normal() for n in (*coordinates, *beside)})
-    p = SimpleNamespace(
-        **{k.name: _value_in_bounds(k, rng.uniform(0.3, 0.9)) for k in system.parameters},
-    )
+    q, p = _mass_values(system)
     for port in system.ports:
         if len(port.coordinates(q, p)) != len(port.axes):
             raise PluginError(f"port {port.name!r}", "one coordinate for each of its axes")
@@ -383,8 +421,37 @@ def check_mass_matrix(system: System) -> str:
         raise PluginError("a mass matrix that is not symmetric", "M = M^T")
     least = float(np.linalg.eigvalsh(matrix).min())
     if not least > 0:
-        raise PluginError(f"a mass matrix with eigenvalue {least:.3g}", "a positive mass matrix")
+        raise PluginError(
+            f"a mass matrix with eigenvalue {least:.3g} at {_values_in_mass(system, q, p)}",
+            "a positive mass matrix",
+            "values at which it is positive, or bounds that keep it so; check its signs",
+        )
     return f"{len(coordinates)} x {len(coordinates)}, positive"
+
+
+def _mass_values(system: MechanicalSystem) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """Random coordinates; parameters as they are given, others within their bounds."""
+    rng, given = np.random.default_rng(5), _given_values(system)
+    names = [s.name for s in (*system.coordinates, *system.others)]
+    q = SimpleNamespace(**{n: rng.normal() for n in names})
+    shares = [(k, 0.6 if f"system.{k.name}" in given else rng.uniform(0.3, 0.9))
+              for k in system.parameters]  # fmt: skip
+    near = {k.name: _value_near(k, given.get(f"system.{k.name}"), s) for k, s in shares}
+    return q, SimpleNamespace(**near)
+
+
+def _values_in_mass(system: MechanicalSystem, q: SimpleNamespace, p: SimpleNamespace) -> str:
+    """The values that the mass matrix depends on, and whether they were given."""
+    here = np.array(system.mass(q, p), dtype=float)
+    words, given = [], _given_values(system)
+    for place in (q, p):
+        for name, value in vars(place).items():
+            moved = SimpleNamespace(**{**vars(place), name: 1.37 * value + 0.01})
+            pair = (moved, p) if place is q else (q, moved)
+            if not np.array_equal(np.array(system.mass(*pair), dtype=float), here):
+                own = place is p and f"system.{name}" in given
+                words.append(f"{name} = {value:.4g}" + (" (given)" if own else " (tried)"))
+    return ", ".join(words) or "all values"
 
 
 def check_system_equations(system: System) -> str:
@@ -405,31 +472,3 @@ def check_system_equations(system: System) -> str:
         return ", ".join(short_form(per_second(s.unit)) for s in system.states)
     check_system_units(system)
     return ", ".join(i.unit for i in system.injections)
-
-
-def check_simulation(system: System) -> str:
-    """A short record with every input at one, where all values are known."""
-    from spiral.inference.simulate import integrate, with_defaults
-    from spiral.types.model import seed_model
-
-    model = with_defaults(seed_model(system))
-    unknown = [k for k, q in model.pairs if q.start is None and k not in model.values]
-    if unknown:
-        return f"not tried: no nominal value for {', '.join(unknown)}"
-    time = stable_time_step(system, model) * np.arange(_SAMPLES)
-    given = {i.name: np.ones(_SAMPLES) for i in system.inputs if i.derived_from is None}
-    states, _ = integrate(model, time, given)
-    if not np.isfinite(states).all():
-        raise PluginError("a short simulation that is not finite", "finite states")
-    return f"{_SAMPLES} samples, {time[-1]:.3g} s"
-
-
-def stable_time_step(system: System, model: Model) -> float:
-    """A tenth of the fastest motion about rest, at most 1 ms, in s."""
-    physics = Physics(system, model.effects)
-    traced = physics.compiled.traced
-    p = np.array([float(model.values.get(k, q.start or 0.0)) for k, q in model.pairs])
-    value, slopes, by_p = physics.evaluate(np.zeros(len(traced.x)), np.zeros(len(traced.u)), p)
-    _require_finite_rows(physics, value, np.hstack([slopes, by_p]))
-    fastest = float(np.abs(np.linalg.eigvals(slopes[: len(traced.x)])).max())
-    return min(1e-3, 0.1 / fastest) if fastest > 0 else 1e-3

@@ -140,6 +140,7 @@ def _sympy_function(name: str) -> Callable[[Any], Any]:
     return getattr(sp, name)
 
 
+_NAMED_ALIKE = ("sin", "cos", "sinh", "cosh", "tanh", "exp", "log", "sqrt")  # here as in SymPy
 _COMPARED = {"less": sp.Lt, "less_equal": sp.Le, "greater": sp.Gt, "greater_equal": sp.Ge}
 _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "add": operator.add,
@@ -154,8 +155,6 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "square": lambda x: x**2,
     "reciprocal": lambda x: 1 / x,
     "tan": lambda x: sp.sin(x) / sp.cos(x),
-    "sinh": lambda x: (sp.exp(x) - sp.exp(-x)) / 2,
-    "cosh": lambda x: (sp.exp(x) + sp.exp(-x)) / 2,
     "absolute": sp.Abs,
     "fabs": sp.Abs,
     "hypot": HYPOT,
@@ -163,7 +162,7 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "minimum": MINIMUM,
     "fmax": MAXIMUM,
     "fmin": MINIMUM,
-    **{name: _sympy_function(name) for name in ("sin", "cos", "tanh", "exp", "log", "sqrt")},
+    **{name: _sympy_function(name) for name in _NAMED_ALIKE},
     **_COMPARED,
 }
 _STEPS = ("sign", "heaviside", "floor", "ceil", "rint", "trunc")

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 GROUPS = {"system": "system", "record": "source", "test": "source", "effect": "effect"}
 """Group as it is typed -> kind of plugin; other kinds are groups of their own name."""
 
+_SETTINGS = "settings"
 _SHIPPED = "spiral-po"
 
 
@@ -28,8 +29,10 @@ def groups_help(plugins: str | None, words: Sequence[str] = ()) -> str:
     ------
     ConfigError : a word is neither.
     """
+    from spiral.inference.problem import Settings
     from spiral.io.config import experiments
     from spiral.io.registry import load_registry
+    from spiral.types.fields import defaults_of
 
     try:
         registry = load_registry(plugins)
@@ -43,6 +46,7 @@ def groups_help(plugins: str | None, words: Sequence[str] = ()) -> str:
     for group, kind in _option_groups(registry).items():
         lines += _group_line(f"{group}=", registry.names(kind))
     lines += _group_line("experiment=", experiments())
+    lines += _group_line(f"{_SETTINGS}.", list(defaults_of(Settings)))
     lines += _failure_lines(registry)
     return "\n".join([*lines, "", "--help GROUP or --help NAME tells meanings and fields"])
 
@@ -59,10 +63,12 @@ def _group_or_plugin_help(word: str, registry: Registry) -> str:
         width = max(len(e.name) for e in entries)
         listed = [line for e in entries for line in _plugin_lines(e, width)]
         return "\n".join([f"{word}=", *listed, *_failure_lines(registry)])
+    if word == _SETTINGS:
+        return "\n".join(_settings_help())
     matches = [e for e in registry.entries if e.name == word]
     if not matches:
-        known = [*groups, *(e.name for e in registry.entries)]
-        expected = f"a group ({', '.join(groups)}) or a plugin's name"
+        known = [*groups, _SETTINGS, *(e.name for e in registry.entries)]
+        expected = f"a group ({', '.join(groups)}), {_SETTINGS} or a plugin's name"
         raise ConfigError(f"--help {word}", expected, did_you_mean(word, known))
     by_kind = {kind: group for group, kind in reversed(groups.items())}
     return "\n".join(line for e in matches for line in _plugin_help(e, by_kind[e.kind]))
@@ -91,6 +97,19 @@ def _plugin_help(entry: Entry, group: str) -> list[str]:
     if parameters and isinstance(parameters, tuple):
         named = ", ".join(f"{p.name} ({p.unit or '1'})" for p in parameters)
         lines += _wrap_text(f"parameters: {named}", "    ")
+    return lines
+
+
+def _settings_help() -> list[str]:
+    """The settings of a study with usual values and meanings, from their class."""
+    from spiral.inference.problem import Settings
+    from spiral.types.fields import defaults_of, field_meanings
+
+    lines, meanings = [f"{_SETTINGS}.NAME=VALUE"], field_meanings(Settings)
+    for name, value in defaults_of(Settings).items():
+        shown = str(value).lower() if isinstance(value, bool) else repr(value)
+        lines += _wrap_text(f"{_SETTINGS}.{name}={shown}", "    ")
+        lines += _wrap_text(meanings[name], " " * 8)
     return lines
 
 

@@ -42,6 +42,8 @@ def _discover(console: Console, outcome: Outcome) -> None:
     print_records(console, outcome)
     print_heading(console, "Rounds")
     console.print(_round_table(run, console.width))
+    for line in _left_out_lines(run):
+        console.print(Text(line, style="dim"))
     refused = run.verdict == "not_identifiable"
     if not refused:  # values that the record does not determine would mislead
         _print_model(console, run)
@@ -96,8 +98,18 @@ def _admission_text(item: Round) -> Text:
     for label in item.retired:
         text.append(f"\nremoved {label}: superfluous beside it", style="dim")
     for label, reason in item.rejected.items():
-        text.append(f"\nrefused {label}: {reason}", style="dim")
+        if item.left_out.get(label) != reason:
+            text.append(f"\nrefused {label}: {reason}", style="dim")
     return text
+
+
+def _left_out_lines(run: Run) -> list[str]:
+    """Candidates that no round could ask the records about, by reason, each once."""
+    reasons = {k: v for r in run.rounds for k, v in r.left_out.items()}
+    labels: dict[str, list[str]] = {}
+    for label, reason in reasons.items():
+        labels.setdefault(reason.partition(": ")[0], []).append(label)
+    return [f"left out: {', '.join(found)}: {reason}" for reason, found in labels.items()]
 
 
 def _print_model(console: Console, run: Run) -> None:

@@ -1,0 +1,96 @@
+"""What ``spiral check`` says of systems from files: at values given, and of the first cause."""
+
+import numpy as np
+import pytest
+
+from spiral.io.testing import check_system, failed
+from tests.scenes import registry
+
+COUPLED = """
+equations: ["A*p'' + B*d'' + k*p = 0", "B*p'' + D*d'' + k*d = T"]
+states: {p: rad, d: rad}
+inputs: {T: N*m}
+parameters: {A: MASS kg*m^2, B: 2.3194 kg*m^2, D: 0.29784 kg*m^2, k: 3 N*m}
+free: [A, k]
+observed: [d]
+"""
+CELL = """
+equations: ["C*V' = I - g*V - G*V*exp(V/W)"]
+states: {V: V}
+inputs: {I: {unit: A, interpolation: linear}}
+constants: {W: 0.018 V}
+parameters: {C: 200e-12 F, g: 24e-9 S, G: 39e-9 S}
+free: [g, G]
+observed: [V]
+"""
+ICE = """
+equations: ["r*h' = k/h + u"]
+states: {h: m}
+inputs: {u: W/m^2}
+parameters: {r: 3e8 J/m^3, k: 36 W/m}
+free: [k]
+observed: [h]
+"""
+RUNAWAY = """
+equations: ["x' = a*x + u"]
+states: {x: m}
+inputs: {u: m/s}
+parameters: {a: 1000 1/s}
+free: [a]
+observed: [x]
+"""
+
+
+def checks_of(text):
+    """The checks of a system from a text, by name."""
+    return {c.name: c for c in check_system(registry().make("system", "equations", {"text": text}))}
+
+
+def test_a_mass_matrix_is_tried_at_the_values_given():
+    """92 * 0.298 > 2.32^2 is positive, what 0.3 to 0.9 for each would give is not."""
+    found = checks_of(COUPLED.replace("MASS", "92"))
+    assert not failed(found.values())
+
+
+def test_a_mass_matrix_that_is_not_positive_says_where_and_nothing_follows():
+    found = checks_of(COUPLED.replace("MASS", "9.2"))
+    (first,) = failed(found.values())
+    assert first.name == "mass"
+    assert "A = 9.2 (given), B = 2.319 (given), D = 0.2978 (given)" in first.seen
+    assert "bounds" in first.try_
+    assert "jacobians" not in found
+    assert "injections" in found
+
+
+def test_inputs_are_as_small_as_the_machine_needs():
+    """Rates of an ampere into 200 pF are 5e9 V/s; it stays finite at some smaller decade."""
+    found = checks_of(CELL)
+    assert not failed(found.values())
+    assert "each input held at 1e-" in found["simulates"].seen
+    share = float(found["jacobians"].seen.split()[1])
+    assert 0 <= share <= 1e-5
+    assert "of their size" in found["jacobians"].seen
+
+
+def test_growth_at_every_size_of_the_inputs_is_told():
+    (first,) = failed(checks_of(RUNAWAY).values())
+    assert first.name == "simulates"
+    assert "all sizes down to 1e-15" in first.seen
+
+
+def test_of_a_file_only_functions_of_files_are_advised():
+    found = checks_of(ICE)
+    told = found["finite at rest"]
+    assert not told.passed
+    assert "rate of 'h' at rest (states and inputs 0)" in told.seen
+    assert "maximum(x, small)" in told.try_
+    assert "spiral.math" not in " ".join(c.try_ for c in found.values())
+    assert "simulates" not in found
+
+
+@pytest.mark.parametrize("value", [1e-12, 1.0, 1e9])
+def test_derivatives_are_judged_by_their_share_at_any_size(value):
+    """x' = -k x |x| has exact slopes, whatever the size of k."""
+    text = 'equations: ["x\' = -k*x*abs(x) + u"]\nstates: {x: m}\ninputs: {u: m/s}\n'
+    text += f"parameters: {{k: {value!r} 1/m/s}}\nfree: [k]\nobserved: [x]\n"
+    assert float(checks_of(text)["jacobians"].seen.split()[1]) <= np.sqrt(1e-10)
