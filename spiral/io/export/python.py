@@ -94,6 +94,7 @@ def python(program: Program) -> str:
     """The module's text."""
     between = (
         series.interpolate_input, series.rows_at_stages, estimate_noise, series.rate_per_sample,
+        series.rates_per_sample,
     )  # fmt: skip
     given = [i for i in program.inputs if i.name not in program.rates]
     return fill_template(
