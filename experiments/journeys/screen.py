@@ -12,7 +12,11 @@ def error(page: Any) -> list[float]:
 
 
 def settled(page: Any) -> None:
-    """Wait until nothing fades in or out any more: only then has it its colours."""
+    """Wait until nothing fades in or out any more: only then has it its colours.
+
+    Another colour scheme is told to the page with a frame, and fades begin with the next.
+    """
+    page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
     page.wait_for_function("document.getAnimations().every(a => a.playState !== 'running')")
 
 

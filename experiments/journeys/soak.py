@@ -52,7 +52,7 @@ def one_effect(person: Person, tab: Any, other: Any, number: int) -> None:
     tab.locator(".q-tab").nth(number % titles).click()
     tab.locator("[role=tabpanel] .main-svg, [role=tabpanel] .equation").first.wait_for()
     if number % 3 == 0:
-        undone(other)
+        undone(other, tab.locator(".chip.added").count())
 
 
 def shown_all(tab: Any) -> None:
@@ -63,9 +63,11 @@ def shown_all(tab: Any) -> None:
         tab.locator("button:has-text('Show fewer')").first.wait_for()
 
 
-def undone(tab: Any) -> None:
-    """Undo until the model is as it was."""
+def undone(tab: Any, added: int) -> None:
+    """Undo until the model is as it was, once the tab shows what was added in the other one."""
     tab.bring_to_front()
+    shown = f"document.querySelectorAll('.chip.added').length == {added}"
+    tab.wait_for_function(f"{shown} && ({READY})")
     while count := tab.locator(".chip.added").count():
         tab.locator("button:has-text('Undo'):enabled").first.click()
         gone = f"document.querySelectorAll('.chip.added').length < {count}"
