@@ -138,8 +138,9 @@ def simulate_batch(
 ) -> Batch:
     """Many noise-free motions of a model at once, by JAX: on a graphics card, or on processors.
 
-    Each is the motion that ``simulate`` gives, with the same equations and integration steps, in
-    double precision. Needs the extra ``gpu``.
+    Each is the motion that ``simulate`` gives, in double precision, by eight integration steps a
+    sample: of a stiff model, for which ``simulate`` takes more, it runs away (``diverged``). Needs
+    the extra ``gpu``.
 
     Parameters
     ----------

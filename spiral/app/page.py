@@ -292,10 +292,9 @@ class StudyView:
         return tabs
 
     def _choose_tab(self, title: str) -> None:
-        if title != self.tab:
-            self.tab = title
-            self._draw_tab(title)
-            self._update_address()
+        self.tab = title
+        self._draw_tab(title)
+        self._update_address()
 
     def _draw_tab(self, title: str) -> None:
         """Only the figures of the chosen tab travel to the browser."""

@@ -22,7 +22,7 @@ import numpy as np
 from spiral.engine.series import rates_per_sample
 from spiral.types.parameter import Input
 from spiral.types.placement import input_columns
-from spiral.types.record import Array
+from spiral.types.record import Array, integrate_derived_inputs
 from spiral.types.system import System
 
 
@@ -58,18 +58,6 @@ class InputColumn:
         return self.parts[0][0] if self.parts else 0.0
 
 
-def complete_inputs(system: System, time: Array, inputs: Mapping[str, Array]) -> dict[str, Array]:
-    """Inputs (..., samples) by name with those that follow from others: integrals from zero."""
-    from scipy.interpolate import CubicSpline
-
-    known = dict(inputs)
-    for item in system.inputs:
-        if item.name not in known and item.derived_from is not None:
-            curve = CubicSpline(time, known[item.derived_from], axis=-1)
-            known[item.name] = curve.antiderivative()(time)
-    return known
-
-
 def lay_out_inputs(
     system: System, time: Array, inputs: Mapping[str, Array], substeps: int, used: Collection[str]
 ) -> tuple[InputColumn, ...]:
@@ -80,7 +68,7 @@ def lay_out_inputs(
     time : (samples,) s. inputs : by name, (samples,) or (simulations, samples).
     substeps : integration steps per sample. used : columns that equations have.
     """
-    known = complete_inputs(system, time, inputs)
+    known = integrate_derived_inputs(system, time, inputs)
     step = (time[-1] - time[0]) / (len(time) - 1)
     rows = {name: np.ascontiguousarray(np.moveaxis(v, -1, 0)) for name, v in known.items()}
     columns = {i.name: _between_samples(i, rows[i.name], substeps) for i in system.inputs}

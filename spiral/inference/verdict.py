@@ -268,12 +268,17 @@ def study_summary(
         describe_held_parameters(rounds[0].details, rounds[-1].details),
         describe_undetermined_parameters(rounds[-1].details),
     ]
-    if reasons := shortfalls(last, settings):
-        more = "More is missing" if last.converged else "Whether more is missing cannot be told"
-        said.append(f"{more}: {'; '.join(reasons)}.")
+    said.append(_remainder_sentence(last, settings))
     if stopped == "max_seconds":
         said.append(search_end_sentence(settings))
     return " ".join(filter(None, [*said, random_sentence(last), record_sentence(last)]))
+
+
+def _remainder_sentence(comparison: Comparison, settings: Settings) -> str:
+    """What a model leaves that is more than noise; empty where nothing is."""
+    reasons = shortfalls(comparison, settings)
+    more = "More is missing" if comparison.converged else "Whether more is missing cannot be told"
+    return f"{more}: {'; '.join(reasons)}." if reasons else ""
 
 
 def search_end_sentence(settings: Settings) -> str:
@@ -295,11 +300,11 @@ def _unconfirmed_sentence(comparison: Comparison, settings: Settings) -> str:
 
 def interrupted_summary(rounds: Sequence[Round], settings: Settings) -> str:
     """What a study knows that was stopped in the middle of its search, in sentences."""
+    last = rounds[-1].comparison
     if not (admitted := _admitted_labels(rounds)):
-        return _unconfirmed_sentence(rounds[-1].comparison, settings)
-    reasons = shortfalls(rounds[-1].comparison, settings)
-    more = f" More is missing: {'; '.join(reasons)}." if reasons else ""
-    return _change_sentence(rounds, admitted, settings) + more
+        return _unconfirmed_sentence(last, settings)
+    change = _change_sentence(rounds, admitted, settings)
+    return f"{change} {_remainder_sentence(last, settings)}".strip()
 
 
 def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:

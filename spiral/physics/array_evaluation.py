@@ -11,6 +11,7 @@ from typing import Any
 
 import sympy as sp
 
+from spiral.physics.emit import MOST_FACTORS
 from spiral.physics.outside.program import ProgramValue
 from spiral.types.errors import PluginError
 
@@ -24,7 +25,6 @@ _ORDERED = {
     sp.Gt: "greater", sp.Ge: "greater_equal", sp.Lt: "less", sp.Le: "less_equal", sp.Eq: "equal",
     sp.Ne: "not_equal",
 }  # fmt: skip
-_MOST_FACTORS = 4  # of an integer power that is a product
 
 
 class ArrayEvaluator:
@@ -75,7 +75,7 @@ class ArrayEvaluator:
     def _power(self, base: Any, exponent: Any) -> Any:
         if exponent.is_Integer and int(exponent) < 0:
             return 1.0 / self.value(base ** (-exponent))
-        if exponent.is_Integer and int(exponent) <= _MOST_FACTORS:
+        if exponent.is_Integer and int(exponent) <= MOST_FACTORS:
             return _fold(lambda a, b: a * b, [self.value(base)] * int(exponent))
         if exponent == sp.S.Half:
             return self._library.sqrt(self.value(base))

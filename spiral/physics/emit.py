@@ -25,6 +25,7 @@ _LIBRARY = {
     sp.acos: "acos", sp.atan: "atan", sp.asinh: "asinh", sp.acosh: "acosh", sp.atanh: "atanh",
     sp.erf: "erf", sp.floor: "floor", sp.ceiling: "ceil",
 }  # fmt: skip
+MOST_FACTORS = 4  # of an integer power that is a product
 _ORDERED = {sp.Gt: ">", sp.Ge: ">=", sp.Lt: "<", sp.Le: "<=", sp.Eq: "==", sp.Ne: "!="}
 
 
@@ -143,7 +144,7 @@ class Emitter:
         node = self.node(base)
         if exponent.is_Integer and int(exponent) < 0:
             return self._inverse(self.node(base ** (-exponent)))
-        if exponent.is_Integer and int(exponent) <= 4:
+        if exponent.is_Integer and int(exponent) <= MOST_FACTORS:
             return self._product([base] * int(exponent))
         if exponent == sp.S.Half:
             value = self._call_math("sqrt", node.value)

@@ -190,7 +190,7 @@ def make_record(
     whole = [k for k, some in spoilt.items() if "clipped" not in [s.kind for s in some]]
     extra = [clipping(k, given[k]) for k in whole]
     measured = tuple(known)
-    known = _integrate_derived_inputs(system, time, known)
+    known = integrate_derived_inputs(system, time, known)
     step = (time[-1] - time[0]) / (len(time) - 1)
     return Record(
         name=name,
@@ -393,15 +393,15 @@ def check_noise(noise: Mapping[str, float], channels: Mapping[str, Array]) -> di
     return {k: float(v) for k, v in noise.items()}
 
 
-def _integrate_derived_inputs(
-    system: System, time: Array, inputs: dict[str, Array]
+def integrate_derived_inputs(
+    system: System, time: Array, inputs: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Add inputs that follow from others: the integral, from zero at the first sample."""
+    """Inputs (..., samples) with those that follow from others: integrals, at first zero."""
     from scipy.interpolate import CubicSpline
 
     completed = dict(inputs)
     for item in system.inputs:
         if item.name not in completed and item.derived_from is not None:
-            source = CubicSpline(time, completed[item.derived_from])
+            source = CubicSpline(time, completed[item.derived_from], axis=-1)
             completed[item.name] = source.antiderivative()(time)
     return completed

@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.fit import standard_deviations
 from spiral.engine.growth import Stage
-from spiral.engine.resting import steps_for_stability
+from spiral.engine.resting import state_jacobian, steps_for_stability
 from spiral.engine.sensitivities import residuals
 from spiral.engine.series import steps_per_sample
 from spiral.engine.statistics import whiteness
@@ -62,17 +62,15 @@ def refine_substeps(assembly: Assembly, fit_state: FitState) -> Assembly:
 
 def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
     """Steps per sample for the fastest mode at rest, at the largest inputs, and for stability."""
-    study = assembly.study
-    n, count = study.state_count, len(study.keys)
-    system = assembly.problem.model.system
-    a, b = np.zeros((n, n)), np.zeros((n, count))
-    steps = 1
-    for series in study.series:
-        size = np.abs(series.inputs).max(axis=0) if series.inputs.size else np.zeros(0)
-        study.compiled.rate(np.full(n, 1e-12), size, np.ascontiguousarray(row), np.empty(n), a, b)
-        if np.all(np.isfinite(a)):
-            steps = max(steps, steps_per_sample(np.linalg.eigvals(a), series.dt, system.exact_to))
-        steps = max(steps, steps_for_stability(study.compiled, row, series))
+    compiled, exact_to, steps = assembly.study.compiled, assembly.problem.model.system.exact_to, 1
+    for series in assembly.study.series:
+        largest = np.abs(series.inputs).max(axis=0, initial=0.0)
+        modes = np.linalg.eigvals(state_jacobian(compiled, row, largest))
+        steps = max(
+            steps,
+            steps_per_sample(modes, series.dt, exact_to),
+            steps_for_stability(compiled, row, series),
+        )
     return steps
 
 

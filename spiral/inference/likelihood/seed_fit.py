@@ -63,8 +63,7 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
         fit = fit_by_likelihood(assembly, begin, noise, steps=_HEAT, rough=True)
         agrees = bool(tried) and _lead_to_one_place(fit, _likeliest(tried))
         tried.append(fit)
-        best = _likeliest(tried)
-        if agrees or (best.estimate.converged and is_random_force_small(best)):
+        if agrees or _explains_records(_likeliest(tried)):
             break
     best = _likeliest(tried)
     best = _likeliest([best, *_refit_runaway_values(assembly, state, best, progress)])
@@ -76,6 +75,10 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
 
 def _likeliest(fits: Sequence[LikelihoodFit]) -> LikelihoodFit:
     return max(fits, key=lambda f: f.log_likelihood)
+
+
+def _explains_records(fit: LikelihoodFit) -> bool:
+    return fit.estimate.converged and is_random_force_small(fit)
 
 
 def _lead_to_one_place(one: LikelihoodFit, other: LikelihoodFit) -> bool:

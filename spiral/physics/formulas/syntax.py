@@ -35,15 +35,8 @@ COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-ELEMENTARY = (
-    "sin",
-    "cos",
-    "sinh",
-    "cosh",
-    "tanh",
-    "exp",
-    "log",
-)  # of and to numbers without a unit
+# Of and to numbers without a unit.
+ELEMENTARY = ("sin", "cos", "sinh", "cosh", "tanh", "exp", "log")
 COUNTS = {
     **dict.fromkeys(ELEMENTARY, 1), "sqrt": 1, "abs": 1,
     "maximum": 2, "minimum": 2, "hypot": 2, "where": 3,
