@@ -149,11 +149,15 @@ class FileSetup:
         self.join_file(ident, file, file.name)
 
     def _check_mapping(self, opened: OpenFile) -> None:
-        """Store a changed setup without old results; where it is complete, order a new reading."""
+        """Store a changed setup without old results; where it is complete, order a new reading.
+
+        The last message stays until the reading ends, so that nothing moves under the mouse.
+        """
         if opened.foreseeing:
             self._forgo(opened.setup.ident)
-        setup = replace(opened.setup, seen=(), trouble=None, foresight={}, reading={})
-        complete = not setups.missing_choices(setup)
+        complete = not setups.missing_choices(opened.setup)
+        still = opened.setup.trouble if complete else None
+        setup = replace(opened.setup, seen=(), trouble=still, foresight={}, reading={})
         asked = opened.asked + 1
         self._store_file(replace(opened, setup=setup, asked=asked, foreseeing=False,
                           busy="Reading with this mapping" if complete else ""))  # fmt: skip
@@ -219,7 +223,7 @@ class FileSetup:
                 )
                 return
             elif kind == "records":
-                setup = replace(setup, seen=tuple(data["records"]))
+                setup = replace(setup, seen=tuple(data["records"]), trouble=None)
             elif kind == "reading":
                 setup = replace(setup, reading={**data["reading"], "asked": opened.asked})
             elif kind == "model":

@@ -96,7 +96,7 @@ class MappingPage:
 
     def _draw_state(self, opened: OpenFile) -> None:
         if opened.busy:
-            with ui.element("div").classes("card working").props('role="status"'):
+            with ui.element("div").classes("card working afloat").props('role="status"'):
                 ui.spinner(size="20px")
                 ui.label(opened.busy + " …").classes("words")
                 ui.button("Cancel", on_click=self._cancel_reading).props(

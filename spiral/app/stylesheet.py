@@ -119,6 +119,8 @@ sub {{ font-size:.75em; line-height:0; }}
 .effect .share {{ color:var(--ink); font-weight:600; }}
 .working {{ display:flex; align-items:center; gap:14px; padding:8px 0 10px; width:100%; }}
 .card.working {{ padding:12px 20px; max-width:560px; }}
+.afloat {{ position:fixed; bottom:18px; left:50%; transform:translateX(-50%); z-index:30;
+  width:min(560px, 100vw - 32px); box-shadow:0 4px 18px rgb(0 0 0 / .22); }}
 .working .words {{ font-size:14.5px; flex:1 1 auto; min-width:0; }} .working .q-btn {{ flex:none; }}
 .choices {{ display:grid; grid-template-columns:repeat(auto-fill,minmax(250px,1fr)); gap:12px; }}
 .choice {{ text-align:left; cursor:pointer; font:inherit; color:inherit; background:var(--paper);

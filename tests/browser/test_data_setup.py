@@ -5,7 +5,7 @@ import pytest
 
 from experiments.journeys.screen import drag
 from experiments.journeys.served import PATIENCE
-from tests.browser.steps import choose, faults, legend, upload
+from tests.browser.steps import choose, faults, held, legend, upload
 
 RATE, SAMPLES = 500.0, 3000
 BEGIN = "button:has-text('Compare with the model'):enabled"
@@ -243,24 +243,45 @@ def test_what_reading_changes_is_drawn_before_it_is_fitted(tab, served, files, p
     picture(tab, "reading")
 
 
-def test_a_click_that_ends_the_typing_in_a_field_is_not_lost(tab, served, files, tmp_path):
-    """Leaving the field has the record read anew; the message stays under the mouse meanwhile."""
+@pytest.fixture
+def gapped(tab, served, files, tmp_path):
+    """A record that lacks one value, uploaded: the page advises how to fill it."""
     lines = (files / "run1.csv").read_text().splitlines()
     time, _, force = lines[801].split(",")
     lines[801] = f"{time},,{force}"
     (tmp_path / "gap.csv").write_text("\n".join(lines) + "\n")
     upload(tab, served, tmp_path / "gap.csv")
     tab.wait_for_selector("#advice button:has-text('record.fill_gaps=1')")
+    tab.wait_for_selector(".working", state="detached")
+    return tab.locator("#advice button:has-text('fill_gaps')")
+
+
+def test_a_click_that_ends_the_typing_in_a_field_is_not_lost(tab, gapped):
+    """Leaving the field has the record read anew; the message stays under the mouse meanwhile."""
     tab.focus("input[aria-label='unit of force']")
-    box = tab.locator("#advice button:has-text('fill_gaps')").bounding_box()
     tab.keyboard.type("N")
-    tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    gapped.hover()
     tab.mouse.down()
     tab.wait_for_timeout(400)
     tab.mouse.up()
     tab.wait_for_selector("li:has-text('gaps filled by interpolation in x: 1 value')")
     tab.wait_for_selector(BEGIN)
     assert "force" not in tab.inner_text("#units-taken")  # what was typed counts
+
+
+def test_nothing_moves_while_a_record_is_read_anew(tab, served, gapped, picture):
+    place = gapped.bounding_box()
+    with held(served):
+        tab.fill("input[aria-label='unit of force']", "N")
+        tab.keyboard.press("Tab")
+        tab.wait_for_selector(".working:has-text('Reading with this mapping')")
+        assert gapped.bounding_box() == place
+        picture(tab, "reading-anew")
+        tab.set_viewport_size({"width": 390, "height": 900})
+        tab.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+        assert faults(tab, ".working") == []
+        picture(tab, "reading-anew-phone")
+    tab.wait_for_selector(".working", state="detached")
 
 
 def test_a_record_without_an_input_needs_a_mouse_alone(tab, served, files, picture):
