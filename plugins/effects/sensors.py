@@ -11,6 +11,7 @@ from spiral.types.parameter import Parameter, State
 
 _TURN = 6.283185307179586
 _NEAR = 0.1  # samples around half a sample
+_LATE = 1.5  # T over z halfway between a lag (1) and a delay (2)
 SCALE = Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True)
 
 
@@ -154,6 +155,13 @@ class SensorLag(SensorEffect):
         """(q_i - a_i) / z."""
         rows = zip(at.position, at.own.level, strict=True)
         return {"level": [(q - a) / p.scale for q, a in rows]}
+
+    def contradiction(self, fitted):
+        """With T near 2 z it is Pade's first approximation of a delay of T, and no lag."""
+        times = [v for k, v in fitted.items() if k.startswith("time")]
+        if "scale" not in fitted or not times or max(times) < _LATE * fitted["scale"]:
+            return ""
+        return "what it reports first goes the other way, as a delay's reading does and no lag's"
 
 
 def half_sample_remark(late, step):

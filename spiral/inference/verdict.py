@@ -62,9 +62,13 @@ def reasons_for_doubt(last: Round, label: str, settings: Settings) -> str:
     Amplitudes with a standard error are asked; an effect that was not fitted is as it was given.
     Where the likelihood without the effect was asked, that counts in place of standard errors.
     """
-    model = last.comparison.model
-    table = model.estimates().get(label, {})
     told = last.details.get(LIKELIHOOD_RATIO_T, {}).get(label, 0.0)
+    return _amplitude_doubts(last.comparison.model, label, settings, told)
+
+
+def _amplitude_doubts(model: Model, label: str, settings: Settings, told: float = 0.0) -> str:
+    """As ``reasons_for_doubt``; ``told`` is |t| by a likelihood ratio, zero for none asked."""
+    table = model.estimates().get(label, {})
     reasons: list[str] = []
     for key, parameter in model.pairs:
         owner, name = split_key(key)
@@ -78,6 +82,15 @@ def reasons_for_doubt(last: Round, label: str, settings: Settings) -> str:
         else:
             return ""
     return " and ".join(reasons)
+
+
+def undetermined_effects(model: Model, added: Sequence[str], settings: Settings) -> tuple[str, ...]:
+    """Those of the ``added`` effects of whose values a record tells none by its standard error.
+
+    A record may be far less likely without such an effect: something is needed there, which other
+    values, or another law, would do as well.
+    """
+    return tuple(x for x in added if _amplitude_doubts(model, x, settings))
 
 
 def determined_effects(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
@@ -426,8 +439,16 @@ def _curve_summary(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
         f"{_VERDICTS['unknown_structure']}: {what[:1].lower()}{what[1:]}. One curve brings the "
         f"test error from {percent(first.test_error)} to {percent(shape['test_error'])} (noise "
         f"floor {percent(shape['noise_floor'])}). The model now contains {', '.join(admitted)}, "
-        f"which only {stands} in for it: {percent(last.test_error)}."
+        f"which only {stands} in for it: {percent(last.test_error)}{_equal_curve_clause(rounds)}."
     )
+
+
+def _equal_curve_clause(rounds: Sequence[Round]) -> str:
+    """Why the names do not count where one curve explains as much; empty where it explains more."""
+    unsure = rounds[-1].details["unknown"].get("undetermined", ())
+    if not unsure:
+        return ""
+    return f", and the record determines no value of {', '.join(unsure)}"
 
 
 def seed_sentence(verdict: Verdict, rounds: Sequence[Round], settings: Settings) -> str:

@@ -80,6 +80,13 @@ class Effect(Plugin):
         """
         return ""
 
+    def contradiction(self, fitted: Mapping[str, float]) -> str:
+        """Why values that a record determines make it another effect; empty for most effects.
+
+        ``fitted`` holds, by parameter name, what was fitted and has a standard error.
+        """
+        return ""
+
     def keys(self, port: Port) -> tuple[tuple[str, Parameter], ...]:
         """(full parameter name, parameter) in order, per axis where the parameter is."""
         return expand(self.label, self.parameters, port.axes)

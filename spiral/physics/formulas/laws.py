@@ -132,6 +132,14 @@ SPRINGS = (
         {"l": _SIDES},
         _PLACE,
     ),
+    Law(
+        "peak_law",
+        "A spring whose force falls again beyond a displacement (a magnet that lets go)",
+        "-2*a*(q/l)/(1 + (q/l)*(q/l))",
+        {"l": (0.1, 0.25, 0.6)},
+        _PLACE,
+        {"l": 0.0},
+    ),
     Law("polynomial_law", "A force that is a polynomial of displacement", "a*q**2 + b*q**3"),
     Law("quintic_law", "An odd polynomial of displacement", "a*q**3 + b*q**5"),
 )

@@ -277,7 +277,10 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
                 )
     if has_still_state(whole.fit, variant.label):
         return Refusal(_STILL_STATE)
-    return None
+    table = model.estimates().get(rival.label, {})
+    fitted = {name: known.estimate for name, known in table.items() if known.se is not None}
+    contradiction = variant.original.contradiction(fitted)
+    return Refusal(contradiction) if contradiction else None
 
 
 def _has_vanished(whole: WholeRecordFit, label: str) -> bool:

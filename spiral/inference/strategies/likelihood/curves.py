@@ -32,16 +32,24 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.seed_fit import with_given_values
 from spiral.inference.likelihood.suggestions import suggestions
+from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
+    Objection,
+    Refusal,
     WholeRecordFit,
     benefit_objection,
     compare_whole_record_fit,
     first_to_pass,
     offer_effects,
     race_offered,
+)
+from spiral.inference.strategies.likelihood.laws import (
+    full_log_likelihood,
+    stand_in_labels,
+    undetermined_stand_ins,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
@@ -55,11 +63,16 @@ _UNSEEN = 1e-3  # share of its own slope by which a coefficient is held where ot
 
 @dataclass(frozen=True)
 class MissingCurve:
-    """A curve that passed: its shape, the model with it, and effects in whose place it stands."""
+    """A curve that passed: its shape, the model with it, and effects in whose place it stands.
+
+    ``undetermined`` are those of them whose values the record does not tell, where the curve
+    explains as much as they do, and not more.
+    """
 
     shape: Unknown
     refitted: RefittedModel
     replaces: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
 
 def find_missing_curve(
@@ -74,12 +87,13 @@ def find_missing_curve(
         whose unseen data it must do better. masks : (select, judge). level : of the judging test.
     """
     progress("trying curves over each state")
+    helps = benefit_objection(options, comparison, assembly.problem.settings)
     assembly = offer_effects(assembly, assembly.problem.dictionary)
     alone = _fit_seed_alone(assembly, base.state, masks[0])
     passing = (
         None
         if alone is None
-        else _find_passing_curve(options, assembly, alone, masks, level, comparison, progress)
+        else _find_passing_curve(options, assembly, alone, masks, level, helps, progress)
     )
     if passing is not None and not _is_likelier_alone(passing[0], base, options.odds):
         passing = None
@@ -90,7 +104,7 @@ def find_missing_curve(
         if passing is not None or is_random_force_small(base)
         else _restart_from_first_noise(assembly, base, masks[0])
     ):
-        other = _find_passing_curve(options, assembly, start, masks, level, comparison, progress)
+        other = _find_passing_curve(options, assembly, start, masks, level, helps, progress)
         if (
             other is not None
             and _is_likelier_alone(other[0], base, options.odds)
@@ -98,21 +112,62 @@ def find_missing_curve(
         ):
             passing = other
     if passing is None:
-        passing = _find_passing_curve(options, assembly, base, masks, level, comparison, progress)
+        passing = _find_passing_curve(options, assembly, base, masks, level, helps, progress)
     if passing is None:
         return None
+    return replace(_missing_curve(passing, progress), replaces=replaces)
+
+
+def find_equal_curve(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
+    comparison: Comparison, masks: tuple[Masks, Masks], level: float, progress: Progress,
+) -> MissingCurve | None:  # fmt: skip
+    """The curve that explains a record as well as effects that it does not determine.
+
+    Such effects only describe that something is needed at their place: a smooth softening is a
+    clearance whose gap, width and stiffness have errors as large as they are. A curve in place of
+    all that has no memory has to leave no more than noise, and the record must be as likely with it
+    as with the effects once these have paid for their numbers (Schwarz). Nothing where none does,
+    or all effects are determined. ``state`` : the study's; others as in ``find_missing_curve``.
+    """
+    settings = assembly.problem.settings
+    unsure = undetermined_stand_ins(assembly, base, comparison)
+    if not unsure:
+        return None
+    gone = stand_in_labels(assembly, base)
+    replaces = tuple(assembly.variant(x).original.label for x in gone)
+    progress(f"trying one curve in place of {', '.join(replaces)}")
+    known = full_log_likelihood(assembly, state)
+    assembly = offer_effects(assembly, assembly.problem.dictionary)
+    bare = drop_effects(assembly, base.state, gone)
+    start = fit_by_likelihood(assembly, bare, None, masks[0], WARM, True)
+    numbers = len(base.estimate.keys) - len(start.estimate.keys)
+    least = known - schwarz_penalty(numbers, start.estimate.prepared)
+
+    def objection(whole: WholeRecordFit) -> Refusal | None:
+        near = is_near_noise(whole.refitted.comparison, settings)
+        return None if near and whole.fit.log_likelihood >= least else Refusal("it explains less")
+
+    passing = _find_passing_curve(options, assembly, start, masks, level, objection, progress)
+    if passing is None:
+        return None
+    return replace(_missing_curve(passing, progress), replaces=replaces, undetermined=unsure)
+
+
+def _missing_curve(
+    passing: tuple[AcceptedCandidate, tuple[Race, Ranking]], progress: Progress
+) -> MissingCurve:
+    """A curve that passed, on as many knots as are worth their penalty, and its shape."""
     passed, (race, ranked) = passing
     label, own = passed.rival.label, passed.rival.ranked.variant.label
     whole = _refine_knots(passed.whole, own, progress)
     listed = suggestions(race.tried, ranked, label, passed.aliases)
-    return MissingCurve(
-        describe_curve(_as_curve_fit(whole, own), label, listed), whole.refitted, replaces
-    )
+    return MissingCurve(describe_curve(_as_curve_fit(whole, own), label, listed), whole.refitted)
 
 
 def _find_passing_curve(
     options: LikelihoodOptions, assembly: Assembly, start: LikelihoodFit,
-    masks: tuple[Masks, Masks], level: float, comparison: Comparison, progress: Progress,
+    masks: tuple[Masks, Masks], level: float, objection: Objection, progress: Progress,
 ) -> tuple[AcceptedCandidate, tuple[Race, Ranking]] | None:  # fmt: skip
     """The curve that comes first beside a model and passes, with its race."""
     parts = functools.partial(_coefficient_columns, assembly)
@@ -121,8 +176,9 @@ def _find_passing_curve(
     contest = race_offered(assembly, start, masks[0], progress, _MOST, parts)
     if contest is None:
         return None
-    helps = benefit_objection(options, comparison, assembly.problem.settings)
-    outcome = first_to_pass(options, assembly, start, contest[0], masks[1], level, helps, progress)
+    outcome = first_to_pass(
+        options, assembly, start, contest[0], masks[1], level, objection, progress
+    )
     return None if outcome.passed is None else (outcome.passed, contest)
 
 

@@ -53,6 +53,7 @@ from spiral.inference.strategies.likelihood.admission import (
     refuse_unhelpful,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.inference.verdict import undetermined_effects
 from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect, ForceEffect, ParameterEffect, StateFlow
 from spiral.types.run import Comparison
@@ -99,11 +100,12 @@ def find_named_law(
     state : the study's. base : the same, fitted on the blocks that select. masks : (select, judge).
     white : whether nothing but noise, or what acts at random, is left of it.
     """
-    gone = _stand_in_labels(assembly, base)
+    gone = stand_in_labels(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
     several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
     moved = _is_moved_at_random(comparison, assembly.problem.settings)
-    if (white and not (several or aided or moved)) or not options.laws:
+    unsure = undetermined_stand_ins(assembly, base, comparison)
+    if (white and not (several or aided or moved or unsure)) or not options.laws:
         return None
     laws = laws_of(assembly.problem.model.system)
     whole = moved or not white or not gone
@@ -145,7 +147,7 @@ def _promising_changes(
     return tuple(e for e in changes if e.port in best)
 
 
-def _stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
+def stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
     """Compiled labels of admitted effects that a law may replace.
 
     Those are forces and flows without memory; where none was admitted and a random force is no
@@ -155,6 +157,14 @@ def _stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]
     kinds = ForceEffect | StateFlow
     plain = tuple(x for x, e in held.items() if isinstance(e, kinds) and not e.states)
     return plain if plain or is_random_force_small(base) else tuple(held)
+
+
+def undetermined_stand_ins(
+    assembly: Assembly, base: LikelihoodFit, comparison: Comparison
+) -> tuple[str, ...]:
+    """Those of the effects that a law may replace of whose values the record tells none."""
+    added = tuple(assembly.variant(x).original.label for x in stand_in_labels(assembly, base))
+    return undetermined_effects(comparison.model, added, assembly.problem.settings)
 
 
 def _has_coupling_force(assembly: Assembly, labels: tuple[str, ...]) -> bool:
@@ -178,12 +188,12 @@ def _law_starts(
             numbers = len(base.estimate.keys) - len(before.estimate.keys)
             price = schwarz_penalty(numbers, before.estimate.prepared)
             worth = base.log_likelihood - before.log_likelihood - price
-            yield _LawStart(before, gone, _full_log_likelihood(assembly, state), state, worth)
+            yield _LawStart(before, gone, full_log_likelihood(assembly, state), state, worth)
     if whole:
         yield _LawStart(base)
 
 
-def _full_log_likelihood(assembly: Assembly, state: FitState) -> float:
+def full_log_likelihood(assembly: Assembly, state: FitState) -> float:
     """Log-likelihood of all samples."""
     assert state.noise is not None
     return total_log_likelihood(prepare_filter_tasks(assembly, state), state.noise)

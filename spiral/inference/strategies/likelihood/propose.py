@@ -41,7 +41,7 @@ from spiral.inference.likelihood.noise_selection import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import is_near_noise
-from spiral.inference.problem import Progress, ScoreMessage, silent
+from spiral.inference.problem import Progress, ScoreMessage, Settings, silent
 from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
 from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
@@ -53,7 +53,11 @@ from spiral.inference.strategies.likelihood.admission import (
     first_to_pass,
     fit_with_effect,
 )
-from spiral.inference.strategies.likelihood.curves import find_missing_curve
+from spiral.inference.strategies.likelihood.curves import (
+    MissingCurve,
+    find_equal_curve,
+    find_missing_curve,
+)
 from spiral.inference.strategies.likelihood.laws import find_named_law
 from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case, recheck_admitted
 from spiral.inference.strategies.likelihood.memory_rounds import find_missing_memory
@@ -216,7 +220,14 @@ def _step_for_unexplained(
             admitted=(label,), aliases={label: aliases}, meaning=law.effect.meaning(),
             stopped="no_candidate", result=ScoredRound(law.ranking, law.tried, law.refitted),
         )  # fmt: skip
-    return _add_missing_curve(options, assembly, base, step, comparison, masks, level, progress)
+    if not assembly.problem.dictionary:
+        return step
+    much = max((comparison.random or {}).values(), default=0.0) > LITTLE
+    if white and not much:
+        curve = find_equal_curve(options, assembly, state, base, comparison, masks, level, progress)
+    else:
+        curve = find_missing_curve(options, assembly, base, comparison, masks, level, progress)
+    return step if curve is None else _with_missing_curve(step, curve, assembly.problem.settings)
 
 
 def _ending(comparison: Comparison, assembly: Assembly) -> StopReason:
@@ -249,26 +260,21 @@ def _propose_after_refit(
     return replace(step, again=step.again or again)
 
 
-def _add_missing_curve(
-    options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, step: Step[ScoredRound],
-    comparison: Comparison, masks: tuple[Masks, Masks], level: float, progress: Progress,
-) -> Step[ScoredRound]:  # fmt: skip
-    """The step with a learned curve for a force that no candidate explains, if one passes.
+def _with_missing_curve(
+    step: Step[ScoredRound], curve: MissingCurve, settings: Settings
+) -> Step[ScoredRound]:
+    """The step with a learned curve for a force that no candidate explains.
 
-    It is looked for where the model is not near its noise, or where much would have to act at
-    random for that. It is admitted where the settings say so.
+    It is looked for where the model is not near its noise, where much would have to act at
+    random for that, or where what was admitted is not determined. It is admitted where the settings
+    say so.
     """
-    much = max((comparison.random or {}).values(), default=0.0) > LITTLE
-    if (step.stopped == "whiteness" and not much) or not assembly.problem.dictionary:
-        return step
-    curve = find_missing_curve(options, assembly, base, comparison, masks, level, progress)
-    if curve is None:
-        return step
     with_it = curve.refitted.comparison
     told = {"test_error": with_it.test_error, "noise_floor": with_it.noise_floor}
-    shape = {**curve.shape.as_dict(), "replaces": curve.replaces, **told}
+    told |= {"replaces": curve.replaces, "undetermined": curve.undetermined}
+    shape = {**curve.shape.as_dict(), **told}
     details = {**step.details, "unknown": shape}
-    if not assembly.problem.settings.learned:
+    if not settings.learned:
         return replace(step, details=details)
     gone = (*curve.refitted.retired, *curve.replaces)
     refitted = replace(curve.refitted, retired=tuple(dict.fromkeys(gone)))
