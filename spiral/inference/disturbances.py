@@ -12,6 +12,7 @@ from spiral.types.model import Model
 from spiral.types.noise import COLOURED
 from spiral.types.parameter import BETWEEN, Interpolation
 from spiral.types.run import Comparison
+from spiral.types.system import has_coordinates
 
 _STATES = {"observed": "the measured states", "hidden": "the hidden states"}
 _SENSITIVE = 0.3  # free-run error by uncertainty alone from which the sentence is given
@@ -32,17 +33,22 @@ def coloured_noise(comparison: Comparison) -> dict[str, float]:
     return random_shares(comparison, *COLOURED)
 
 
+def what_acts(model: Model) -> str:
+    """What changes the states of a machine: a force, or a flow where it has no coordinates."""
+    return "force" if has_coordinates(model.system) else "flow"
+
+
 def random_sentence(comparison: Comparison) -> str:
     """What acts at random beside white noise of the sensors; empty where nothing does."""
-    said = []
+    said, acting = [], what_acts(comparison.model)
     for name, share in (comparison.random or {}).items():
         kind, _, where = name.partition(".")
         time = comparison.random_times.get(name)
         lasting = "" if time is None else f", correlated over {number(time, 2)} s"
         if kind in ("force", "gust"):
             said.append(
-                f"a random force acts on {_STATES.get(where, where.removesuffix('_rate'))}: "
-                f"{percent(share)} of the machine's own forces{lasting or ', white'}"
+                f"a random {acting} acts on {_STATES.get(where, where.removesuffix('_rate'))}: "
+                f"{percent(share)} of the machine's own {acting}s{lasting or ', white'}"
             )
         elif kind == "drift":
             said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")
@@ -56,7 +62,7 @@ def random_sentence(comparison: Comparison) -> str:
     if random_forces(comparison) and np.isfinite(comparison.disturbed):
         much = comparison.disturbed >= 1.0
         share = "all" if much else percent(comparison.disturbed)
-        said.append(f"random forces move a free run by {share} of the motion")
+        said.append(f"random {acting}s move a free run by {share} of the motion")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 

@@ -26,7 +26,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.inference.disturbances import coloured_noise, random_forces, random_shares
+from spiral.inference.disturbances import (
+    coloured_noise,
+    random_forces,
+    random_shares,
+    what_acts,
+)
 from spiral.inference.problem import Settings
 from spiral.types.formatting import number, percent
 from spiral.types.horizon import Change, changes
@@ -114,9 +119,10 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
         reasons.append(f"what is left is not white (its past predicts about {share} of it)")
     forces = random_forces(comparison)
     if forces and max(forces.values()) > settings.random_limit:
-        share = percent(max(forces.values()))
+        share, acting = percent(max(forces.values())), what_acts(comparison.model)
         reasons.append(
-            f"a random force of {share} of the machine's own forces would have to act beside it"
+            f"a random {acting} of {share} of the machine's own {acting}s would have to act beside "
+            "it"
         )
     reasons += comparison.contradictions
     for name, share in coloured_noise(comparison).items():

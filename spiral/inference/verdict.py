@@ -37,13 +37,14 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
+from spiral.physics.formulas.laws import law_meaning
 from spiral.types.effect import Effect, ForceEffect, ParameterEffect
 from spiral.types.formatting import first_words, number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.placement import at_every_place
 from spiral.types.run import Comparison, Round, StopReason, Verdict
-from spiral.types.system import System, place_name
+from spiral.types.system import System, has_coordinates, place_name
 
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
@@ -219,7 +220,18 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
             "fitted record does not?"
         )
     told = f"{words}: {'; '.join(reasons)}." if reasons else f"{words}."
-    return f"{told} {random}".strip()
+    return " ".join(filter(None, (told, random, _slow_force_sentence(comparison, settings))))
+
+
+def _slow_force_sentence(comparison: Comparison, settings: Settings) -> str:
+    """What a large random flow that lasts may be, where memory is not looked for; else empty."""
+    large = {k for k, v in random_forces(comparison).items() if v > settings.random_limit}
+    if has_coordinates(comparison.model.system) or not large & {*comparison.random_times}:
+        return ""
+    return (
+        "A flow that lasts so long may be a state that the model lacks: a second relaxation, or "
+        "hysteresis (memory is looked for in forces alone)."
+    )
 
 
 def _explains_fitted(comparison: Comparison, settings: Settings) -> bool:
@@ -412,13 +424,16 @@ def _look_alikes_clause(
 def label_with_place(model: Model, label: str) -> str:
     """An effect of a model with its place, where its label leaves out that it is the first.
 
-    Of a parameter that varies it is said what it follows.
+    Of a parameter that varies it is said what it follows, of a law what it is.
     """
     effect = next((e for e in model.effects if e.label == label), None)
     if isinstance(effect, ParameterEffect):
         port = model.system.place(effect)
         return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
-    return label if effect is None else _effect_with_place(model.system, effect)
+    if effect is None:
+        return label
+    law, named = law_meaning(effect), _effect_with_place(model.system, effect)
+    return f"{named} ({law})" if law else named
 
 
 def _effect_with_place(system: System, effect: Effect) -> str:

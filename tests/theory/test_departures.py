@@ -166,12 +166,18 @@ def test_a_value_that_went_far_from_the_one_given_is_told():
         keys=("system.mass", "linear_stiffness.stiffness", "linear_damping.damping"),
         values={"system.mass": 0.005, "linear_stiffness.stiffness": -80.0,
                 "linear_damping.damping": 5.0},
+        errors={"system.mass": 0.001, "linear_stiffness.stiffness": 1.0},
     )  # fmt: skip
     given = {"system.mass": 1.5, "linear_stiffness.stiffness": 100.0, "linear_damping.damping": 1.0}
     mass, spring = far_value_sentences(estimate, given)
     assert mass.startswith("system.mass ended at 0.005, far from the 1.5 that it was given")
     assert spring.startswith("linear_stiffness.stiffness ended at -80")
     assert not far_value_sentences(estimate, {})
+    estimate.errors["linear_stiffness.stiffness"] = 50.0
+    assert far_value_sentences(estimate, given)[1] == (
+        "linear_stiffness.stiffness is zero within its error, where 100 was given: what else the "
+        "model holds does its work"
+    )
 
 
 def test_a_damper_that_ends_up_feeding_the_machine_is_told_where_it_was_given_as_one():

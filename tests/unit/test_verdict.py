@@ -22,6 +22,8 @@ from spiral.inference.verdict import (
     seed_verdict,
     study_summary,
     study_verdict,
+    undetermined_effects,
+    verdict_sentence,
 )
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model, seed_model
@@ -370,3 +372,25 @@ def test_a_seed_that_lacks_memory_alone_is_unknown_structure_though_near_its_noi
     verdict, words, _ = said((seed,))
     assert verdict == "unknown_structure"
     assert words.endswith(MEMORY["memory"]["sentence"])
+
+
+def test_undetermined_effects_are_those_without_an_amplitude_above_its_error():
+    unsure = model(CUBIC, cubic_stiffness__stiffness=(3.0, 2.0))
+    assert undetermined_effects(unsure, ("cubic_stiffness",), SETTINGS) == ("cubic_stiffness",)
+    assert undetermined_effects(TOLD, ("cubic_stiffness",), SETTINGS) == ()
+    assert undetermined_effects(unsure, (), SETTINGS) == ()
+
+
+def test_a_slow_flow_beside_a_model_without_forces_may_be_a_state_that_it_lacks():
+    tanks = seed_model(CascadedTanks())
+    slow = replace(
+        POOR, model=tanks, random={"force.hidden": 0.3}, random_times={"force.hidden": 200.0}
+    )
+    words = verdict_sentence("unknown_structure", slow, SETTINGS)
+    assert "a random flow of 30.0 % of the machine's own flows would have to act" in words
+    assert "A random flow acts on the hidden states: 30.0 % of the machine's own flows" in words
+    assert "may be a state that the model lacks" in words
+    for other in (replace(slow, random_times={}), replace(slow, random={"force.hidden": 0.01})):
+        assert "a state that the model lacks" not in verdict_sentence(
+            "unknown_structure", other, SETTINGS
+        )

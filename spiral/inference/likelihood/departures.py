@@ -38,6 +38,7 @@ _COUNTS = 0.005  # share of its value that a parameter drifts by
 _RATIOS = np.geomspace(0.03, 100.0, 18)  # b / a of noise that grows
 _TWO = 4.0  # twice log-likelihood by which noise that grows from zero, not from the mean, is told
 _FAR = 10.0  # times a value given, or its inverse, from which a fitted one is far from it
+_ZERO = 2.0  # standard errors within which a value is not told from zero
 _UNIT = 300.0  # the same, from which a unit may be off by its prefix
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _HALF = 0.5  # share of what is missed from which a converter's steps are told
@@ -71,11 +72,18 @@ def far_value_sentences(estimate: MaximumLikelihood, given: Mapping[str, float])
     """Sentences on values that ended more than ``_FAR`` times off those given.
 
     A fit that lacks something makes up for it with whatever is free: a mass of 1.5 kg became 5 g.
+    A value that is not told from zero is no longer needed: the stiffness of a coupling that has
+    play belongs to the clearance.
     """
     said = []
     for key in estimate.keys:
         value, first = estimate.values[key], given.get(key)
-        if first and not 1 / _FAR <= value / first <= _FAR:
+        if first and abs(value) <= _ZERO * estimate.errors.get(key, 0.0):
+            said.append(
+                f"{without_variant(key)} is zero within its error, where {number(first)} was "
+                "given: what else the model holds does its work"
+            )
+        elif first and not 1 / _FAR <= value / first <= _FAR:
             prefix = 1 / _UNIT > value / first > 0 or value / first > _UNIT
             unit = ", or a unit is, of it or of a channel" if prefix else ""
             said.append(

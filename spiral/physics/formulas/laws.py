@@ -237,6 +237,16 @@ FLOWS = (
 )
 
 
+def law_meaning(effect: Effect) -> str:
+    """What a law of this module is, in words within a sentence; empty for any other effect."""
+    name = effect.plugin_name()
+    for law in (*SPRINGS, *FRICTIONS, *FLOWS):
+        if name == law.name or name.startswith(f"{law.name}_"):
+            words = law.meaning.partition(" (")[0]
+            return words[:1].lower() + words[1:]
+    return ""
+
+
 @kept(16)
 def laws_of(system: System) -> tuple[Effect, ...]:
     """Every law at every place of a system where its units fit."""

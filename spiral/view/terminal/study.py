@@ -97,8 +97,9 @@ def _admission_text(item: Round) -> Text:
             text.append(f"\ncannot be told from: {', '.join(aliases)}", style="yellow")
     for label in item.retired:
         text.append(f"\nremoved {label}: superfluous beside it", style="dim")
+    named = {alias for label in item.admitted for alias in item.aliases.get(label, ())}
     for label, reason in item.rejected.items():
-        if item.left_out.get(label) != reason:
+        if item.left_out.get(label) != reason and label not in named:
             text.append(f"\nrefused {label}: {reason}", style="dim")
     return text
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.likelihood.noise import first_noise
-from spiral.engine.likelihood.predict import Masks, Prediction, predict_cases
+from spiral.engine.likelihood.predict import Prediction, predict_cases
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
-from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import CandidateColumns, Ranking
 from spiral.inference.likelihood.candidates import Race
 from spiral.inference.likelihood.fitting import (
@@ -47,6 +47,7 @@ from spiral.inference.strategies.likelihood.admission import (
     race_offered,
 )
 from spiral.inference.strategies.likelihood.laws import (
+    fit_without,
     full_log_likelihood,
     stand_in_labels,
     undetermined_stand_ins,
@@ -122,7 +123,7 @@ def find_equal_curve(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
     comparison: Comparison, masks: tuple[Masks, Masks], level: float, progress: Progress,
 ) -> MissingCurve | None:  # fmt: skip
-    """The curve that explains a record as well as effects that it does not determine.
+    """The curve that explains a record as well as effects of whose values the record tells none.
 
     Such effects only describe that something is needed at their place: a smooth softening is a
     clearance whose gap, width and stiffness have errors as large as they are. A curve in place of
@@ -137,15 +138,20 @@ def find_equal_curve(
     gone = stand_in_labels(assembly, base)
     replaces = tuple(assembly.variant(x).original.label for x in gone)
     progress(f"trying one curve in place of {', '.join(replaces)}")
-    known = full_log_likelihood(assembly, state)
+    known, start = (
+        full_log_likelihood(assembly, state),
+        fit_without(assembly, base, gone, masks[0], progress),
+    )
+    if start is None:
+        return None
     assembly = offer_effects(assembly, assembly.problem.dictionary)
-    bare = drop_effects(assembly, base.state, gone)
-    start = fit_by_likelihood(assembly, bare, None, masks[0], WARM, True)
+
     numbers = len(base.estimate.keys) - len(start.estimate.keys)
     least = known - schwarz_penalty(numbers, start.estimate.prepared)
 
     def objection(whole: WholeRecordFit) -> Refusal | None:
-        near = is_near_noise(whole.refitted.comparison, settings)
+        told = replace(whole.refitted.comparison, converged=True)  # no knot has to be determined
+        near = is_near_noise(told, settings)
         return None if near and whole.fit.log_likelihood >= least else Refusal("it explains less")
 
     passing = _find_passing_curve(options, assembly, start, masks, level, objection, progress)

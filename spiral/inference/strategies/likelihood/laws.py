@@ -178,19 +178,29 @@ def _law_starts(
     whole: bool, select: Masks, progress: Progress,
 ) -> Iterator[_LawStart]:  # fmt: skip
     """The model without the effects that a law may replace, and, if asked, the ``whole`` of it."""
-    if gone:
-        before = fit_by_likelihood(
-            assembly, replace(drop_effects(assembly, base.state, gone), noise=None), rough=True
-        )
-        before = select_noise_model(assembly, before, progress)
-        if before.estimate.finite:
-            before = fit_by_likelihood(assembly, before.state, masks=select, steps=WARM, rough=True)
-            numbers = len(base.estimate.keys) - len(before.estimate.keys)
-            price = schwarz_penalty(numbers, before.estimate.prepared)
-            worth = base.log_likelihood - before.log_likelihood - price
-            yield _LawStart(before, gone, full_log_likelihood(assembly, state), state, worth)
+    before = fit_without(assembly, base, gone, select, progress) if gone else None
+    if before is not None:
+        numbers = len(base.estimate.keys) - len(before.estimate.keys)
+        price = schwarz_penalty(numbers, before.estimate.prepared)
+        worth = base.log_likelihood - before.log_likelihood - price
+        yield _LawStart(before, gone, full_log_likelihood(assembly, state), state, worth)
     if whole:
         yield _LawStart(base)
+
+
+def fit_without(
+    assembly: Assembly, base: LikelihoodFit, gone: tuple[str, ...], select: Masks,
+    progress: Progress,
+) -> LikelihoodFit | None:  # fmt: skip
+    """The model without some of its effects on the blocks that select; nothing if it diverges.
+
+    Its noise is found anew: beside that of the model with them it might not find its values.
+    """
+    bare = replace(drop_effects(assembly, base.state, gone), noise=None)
+    fit = select_noise_model(assembly, fit_by_likelihood(assembly, bare, rough=True), progress)
+    if not fit.estimate.finite:
+        return None
+    return fit_by_likelihood(assembly, fit.state, masks=select, steps=WARM, rough=True)
 
 
 def full_log_likelihood(assembly: Assembly, state: FitState) -> float:
