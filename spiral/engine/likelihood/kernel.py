@@ -14,6 +14,9 @@ no matrix to be factorised and lets any of them be missing:
 
 The slopes S = d(x, theta, z)/dp of the mean follow with the gains held: d = c S + h_p is the slope
 of a prediction, S <- S - K d. They stand beside P in one matrix M = [P | S] (``transition``).
+
+Where F, c, r and Q are the same at every sample, P becomes stationary: from then on s and K are
+those of the sample before, and only x and S go on (``steady``).
 """
 
 from __future__ import annotations
@@ -24,6 +27,15 @@ from numba import types
 
 from spiral.engine.filter.algebra import ABSORB, PRODUCT
 from spiral.engine.filter.kernel import is_sound, reset_to_identity, slope_workspace, write_tracked
+from spiral.engine.likelihood.steady import (
+    CALM,
+    absorb_steadily,
+    is_read_alike,
+    is_same_reading,
+    is_stationary,
+    load_slopes,
+    store_slopes,
+)
 from spiral.engine.likelihood.transition import (
     add_forces,
     advance_noise_states,
@@ -62,11 +74,12 @@ def _reading_rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses):
 
 @nb.njit(**INNER, fastmath=_FAST)
 def _absorb_sample(
-    absorb, x, p, c, cv, both, tracked, r, scratch, work, k, d, misses, spreads, slopes, gains
+    absorb, x, p, c, cv, both, tracked, r, scratch, work, k, d, misses, spreads, slopes, kept
 ):  # fmt: skip
     """All channels of a sample taken in one by one; False where a variance is not positive.
 
     What the mean has moved since the first channel is taken from the misses of those after it.
+    ``kept`` (channels, N + 1) out: K and s.
     """
     size, width = len(x), slopes.shape[2]
     before, gain = scratch[0], scratch[1]
@@ -87,9 +100,9 @@ def _absorb_sample(
             return False
         for i in range(width):
             slopes[k, j, i] = d[j, i]
-        if gains.shape[0] > 0:
-            for i in range(gains.shape[2]):
-                gains[k, j, i] = gain[i]
+        for i in range(size):
+            kept[j, i] = gain[i]
+        kept[j, size] = spreads[k, j]
     return True
 
 
@@ -100,6 +113,15 @@ def _pad_covariance(matrix, width):
     out = np.zeros((wide, wide + padded_width(width)))
     out[: len(matrix), : len(matrix)] = matrix
     return out
+
+
+@nb.njit(**INNER)
+def _store_gains(k, kept, misses, spreads, gains):
+    """Gains of a sample, where they are asked for."""
+    if gains.shape[0] > 0:
+        for j in range(gains.shape[1]):
+            for i in range(gains.shape[2]):
+                gains[k, j, i] = kept[j, i] if spreads[k, j] > 0.0 else 0.0
 
 
 @nb.njit(**INNER)
@@ -137,20 +159,28 @@ def _predict_along(
     values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
     y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains, rows,
     states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
-    scratch, space, h, cx, cv, own, own_work,
+    scratch, space, h, cx, cv, own, own_work, kept, kept_rows, variances, s, s_later,
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
     size, width = len(q), slopes.shape[2]
     n, first, half = len(states), len(followed_states), 0.5 * dt
-    k = 0
+    unchanging = constant and tracked == 0 and len(r) == 1
+    k = calm = 0
     for k in range(y.shape[0]):
         write_tracked(values, followed, followed_states)
         output(states, inputs[k * 3 * substeps], values, h, cx, cv)
         _reading_rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
-        if not _absorb_sample(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
-                         spreads, slopes, gains):  # fmt: skip
+        usual = unchanging and is_same_reading(k, c, kept_rows, misses)
+        if calm >= CALM and not usual:
+            store_slopes(s, p, size)
+        calm = calm if usual else 0
+        if calm >= CALM:
+            absorb_steadily(k, x, s, c, cv, both, kept, scratch[0], d, misses, spreads, slopes)
+        elif not _absorb_sample(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
+                         spreads, slopes, kept):  # fmt: skip
             return k
         _store_sample(k, c, x, rows, means)
+        _store_gains(k, kept, misses, spreads, gains)
         if k == y.shape[0] - 1 or not is_sound(x, p):
             break
         write_tracked(values, followed, followed_states)
@@ -159,11 +189,20 @@ def _predict_along(
                         own, own_work)  # fmt: skip
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
+        if calm >= CALM:
+            store_transition(k, a, phi, n, transitions)
+            apply_transition(product, a, phi, links, s, s_later, n, size)
+            transition_slopes(s_later, f, s, n, first, size, width, 0)
+            continue
         transition_rows(f, driven, entries, first, half, a, turned)
         store_transition(k, a, phi, n, transitions)
         apply_transition(product, a, phi, links, p, later, n, size)
-        transition_slopes(later, f, p, n, first, size, width)
+        transition_slopes(later, f, p, n, first, size, width, len(p))
         transition_covariance(lower, later, turned, q, p, size)
+        if unchanging:
+            calm = calm + 1 if is_stationary(p, variances, size) else 0
+            if calm == CALM:
+                load_slopes(p, s, size)
     return k + 1 if is_sound(x, p) else k
 
 
@@ -215,6 +254,8 @@ def predict_record(
     a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
     x, c, d = np.zeros(wide), np.zeros((m, wide)), np.zeros((m, padded_width(width)))
     scratch, space = np.zeros((2, wide)), np.zeros(2 * p.shape[1])
+    kept, kept_rows = np.zeros((m, wide + 1)), np.zeros((m, wide))
+    s, s_later = np.zeros((wide, padded_width(width))), np.zeros((wide, padded_width(width)))
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     x[:size] = mean
     links = entries_of(phi)
@@ -223,15 +264,19 @@ def predict_record(
         values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
         y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains,
         rows, x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a,
-        turned, x, c, d, scratch, space, h, cx, cv, own, own_work,
+        turned, x, c, d, scratch, space, h, cx, cv, own, own_work, kept, kept_rows, np.zeros(size),
+        s, s_later,
     )  # fmt: skip
 
 
 @nb.njit(**INNER, fastmath=_FAST)
 def _absorb_varied(
-    absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads
-):
-    """Update at one sample under other noise; x is the mean less that of the first run."""
+    absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads, kept, steady
+):  # fmt: skip
+    """Update at one sample under other noise; x is the mean less that of the first run.
+
+    ``kept`` (channels, N + 1): K and s, out, or in where they are ``steady``.
+    """
     size, c, gain = rows.shape[2], scratch[:1], scratch[1]
     for j in range(len(misses)):
         misses[j] = spreads[j] = 0.0
@@ -241,9 +286,16 @@ def _absorb_varied(
         for i in range(size):
             c[0, i] = rows[k, j, i]
             misses[j] -= rows[k, j, i] * x[i]
+        if steady:
+            spreads[j] = kept[j, size]
+            for i in range(size):
+                x[i] += kept[j, i] * misses[j] - gains[k, j, i] * before[k, j]
+            continue
         spreads[j] = absorb(x, p, c, none, 0, r[min(k, len(r) - 1), j], misses[j], gain, work)
         for i in range(size):
+            kept[j, i] = gain[i]
             x[i] -= gains[k, j, i] * before[k, j]
+        kept[j, size] = spreads[j]
 
 
 @nb.njit(**INNER, fastmath=_FAST)
@@ -270,14 +322,17 @@ def _vary_along(
     values, flow, product, lower, absorb, followed, inputs, substeps, dt, phi, driven, constant,
     means, gains, rows, before, seen, r, q, phis, misses, spreads,
     n, first, followed_states, entries, links, none, f, work, p, x, here, later,
-    scratch, space, w, a, turned, own, own_work,
+    scratch, space, w, a, turned, own, own_work, kept, variances, calm,
 ):  # fmt: skip
     """The loop of ``vary_record``, in arrays made before."""
     samples, size = means.shape
+    unchanging = constant and first == n and r.shape[1] == 1
     for k in range(samples):
+        usual = unchanging and k > 0 and is_read_alike(k, rows, seen)
         for v in range(len(x)):
+            calm[v] = calm[v] if usual else 0
             _absorb_varied(absorb, k, x[v], p[v], rows, gains, before, seen, r[v], scratch, none,
-                    space, misses[v, k], spreads[v, k])  # fmt: skip
+                    space, misses[v, k], spreads[v, k], kept[v], calm[v] >= CALM)  # fmt: skip
         if k == samples - 1:
             break
         same = constant and k > 0
@@ -291,9 +346,13 @@ def _vary_along(
             transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
             _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
+            if calm[v] >= CALM:
+                continue
             apply_transition(product, a, phis[v], links, p[v], w, n, size)
             turn_noise_rows(phis[v], links, n, turned)
             transition_covariance(lower, w, turned, q[v], p[v], size)
+            if unchanging:
+                calm[v] = calm[v] + 1 if is_stationary(p[v], variances[v], size) else 0
 
 
 @nb.njit(
@@ -337,4 +396,6 @@ def vary_record(
         means, gains, rows, before, seen, r, q, phis, misses, spreads,
         n, first, here[:first], entries_of(driven), links, np.zeros((1, 0)), f, work, p, x, here,
         later, scratch, space, w, a, turned, own, own_work,
+        np.zeros((len(starts), misses.shape[2], wide + 1)), np.zeros((len(starts), size)),
+        np.zeros(len(starts), dtype=np.int64),
     )  # fmt: skip

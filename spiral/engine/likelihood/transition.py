@@ -139,12 +139,11 @@ def transition_covariance(lower, w, turned, q, m, size):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def transition_slopes(w, f, m, n, first, size, width):
-    """S <- F S + F_p, from W."""
-    wide = m.shape[0]
+def transition_slopes(w, f, m, n, first, size, width, at):
+    """S <- F S + F_p, from W; S begins at column ``at``."""
     for i in range(n):
         for j in range(width):
-            m[i, wide + j] = w[i, wide + j] + f[i, first + j]
+            m[i, at + j] = w[i, at + j] + f[i, first + j]
     for i in range(n, size):
         for j in range(width):
-            m[i, wide + j] = w[i, wide + j]
+            m[i, at + j] = w[i, at + j]
