@@ -24,6 +24,7 @@ _MOST_STABLE = 512  # the same where a mode would else be unstable
 _ADVANCE = 0.3  # rad, largest advance of a mode per integration step
 _STABLE_ADVANCE = 1.0  # the same of modes that need be stable only
 _LARGEST_ADVANCE = 2.0  # the same beyond ``MOST_SUBSTEPS``
+_ROUNDING = 1e-12  # of an input's size, by which it may differ where it is one value
 _SMOOTH = 11  # samples of the local cubics that say how large a reading is
 
 
@@ -98,6 +99,16 @@ class Series:
     def mean_inputs(self) -> Array:
         """(input columns,) their mean over the record."""
         return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
+
+    def changing_inputs(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Those of the input columns that do not stay as they are all along the record."""
+        return tuple(n for n, held in zip(names, self._held_inputs, strict=True) if not held)
+
+    @cached_property
+    def _held_inputs(self) -> list[bool]:
+        """By input column, whether it is one value, but for the rounding of its interpolation."""
+        spread = np.ptp(self.inputs, axis=0)
+        return list(spread <= _ROUNDING * np.abs(self.inputs).max(axis=0))
 
     @cached_property
     def grown(self) -> Array | None:

@@ -1,4 +1,4 @@
-"""Whether the rates of a model are linear in its states, with coefficients that do not vary."""
+"""Whether the rates of a model are linear in its states, and what their coefficients hold."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ from spiral.types.cache import kept
 
 
 @kept(128)
-def jacobian_parameters(traced: TracedModel) -> frozenset[str] | None:
-    """Names of the parameters that d rate / d state depends on; nothing where it varies.
+def jacobian_names(traced: TracedModel) -> frozenset[str] | None:
+    """Names of the parameters and inputs that d rate / d state depends on.
 
-    It varies where it depends on states or inputs. The form of the expressions decides: sums, and
-    products of which one factor at most holds states. What is linear in another form (a fraction
-    that would cancel) counts as varying.
+    Nothing where it depends on states. The form of the expressions decides: sums, and products of
+    which one factor at most holds states. What is linear in another form (a fraction that would
+    cancel) counts as one that depends on them.
     """
     states, symbols = frozenset[sp.Basic](traced.x), set[sp.Basic]()
     if not all(_gather_coefficients(rate, states, symbols) for rate in traced.rate):
         return None
-    if not symbols.isdisjoint(traced.u):
-        return None
-    pairs = zip(traced.p, traced.keys, strict=True)
-    return frozenset(key for symbol, key in pairs if symbol in symbols)
+    known = dict(zip(traced.p, traced.keys, strict=True))
+    known |= dict(zip(traced.u, traced.inputs, strict=True))
+    return frozenset(name for symbol, name in known.items() if symbol in symbols)
 
 
 def _gather_coefficients(

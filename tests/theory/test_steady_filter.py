@@ -26,21 +26,22 @@ def _chain(t, x, u, p):
     pull = p.k * (x.a - x.b) + p.c * (x.va - x.vb)
     return {
         "a": x.va, "va": (u.F - p.k * x.a - p.c * x.va - pull) / p.m,
-        "b": x.vb, "vb": (pull - p.k * x.b - p.c * x.vb) / p.m,
+        "b": x.vb, "vb": (pull - u.w * p.k * x.b - p.c * x.vb) / p.m,
     }  # fmt: skip
 
 
 def _task(gap):
-    """Two masses, both measured; ``gap``: one reading is missing."""
+    """Two masses, both measured, an input that stays; ``gap``: one reading is missing."""
     rng = np.random.default_rng(1)
     system = spiral.system(
-        _chain, states={"a": "m", "va": "m/s", "b": "m", "vb": "m/s"}, inputs={"F": "N"},
+        _chain, states={"a": "m", "va": "m/s", "b": "m", "vb": "m/s"}, inputs={"F": "N", "w": "1"},
         parameters={"m": (1.0, "kg"), "c": (20.0, "N*s/m"), "k": (400.0, "N/m")},
         observed=["a", "b"], free=["c", "k"],
     )  # fmt: skip
     time = np.arange(SAMPLES) * DT
     read = {n: 1e-3 * np.cumsum(rng.normal(size=SAMPLES)) for n in ("a", "b")}
-    record = make_record(system, "chain", time, read, {"F": rng.normal(size=SAMPLES)})
+    given = {"F": rng.normal(size=SAMPLES), "w": np.full(SAMPLES, 1.3)}
+    record = make_record(system, "chain", time, read, given)
     model = seed_model(system, values={"system.c": 20.0, "system.k": 400.0})
     task = prepare_task(model, record)
     seen = np.ones((SAMPLES, 2), dtype=bool)
@@ -76,6 +77,11 @@ def runs(request):
         run = predict_readings(prepared, settings, noise, KEYS, carry=True)
         both.append((prepared, settings, noise, run))
     return both
+
+
+def test_an_input_that_changes_is_told_from_one_that_stays(runs):
+    task = runs[0][0]
+    assert task.series.changing_inputs(task.compiled.traced.inputs) == ("F", "time")
 
 
 @pytest.mark.parametrize(

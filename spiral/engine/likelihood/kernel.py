@@ -271,7 +271,8 @@ def predict_record(
 
 @nb.njit(**INNER, fastmath=_FAST)
 def _absorb_varied(
-    absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads, kept, steady
+    absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads, kept,
+    steady,
 ):  # fmt: skip
     """Update at one sample under other noise; x is the mean less that of the first run.
 

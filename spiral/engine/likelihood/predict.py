@@ -20,7 +20,7 @@ from spiral.engine.likelihood.noise import NoiseModel, noise_matrices
 from spiral.engine.series import Series
 from spiral.engine.threads import run_in_threads
 from spiral.physics.flow import Flow, compile_flow
-from spiral.physics.linearity import jacobian_parameters
+from spiral.physics.linearity import jacobian_names
 from spiral.types.record import Array
 
 RUNAWAY = -1e300
@@ -132,9 +132,10 @@ def _task_flow(task: FilterInput, settings: FilterSettings, keys: tuple[str, ...
 
 
 def _is_transition_constant(task: FilterInput, settings: FilterSettings) -> bool:
-    """Whether F is the same at every sample: where rates are linear in the states."""
-    named = jacobian_parameters(task.compiled.traced)
-    return named is not None and named.isdisjoint(settings.tracked)
+    """Whether F is the same at every sample: rates linear in the states, nothing else moves."""
+    named = jacobian_names(task.compiled.traced)
+    moved = {*settings.tracked, *task.series.changing_inputs(task.compiled.traced.inputs)}
+    return named is not None and named.isdisjoint(moved)
 
 
 def vary_noise(
