@@ -35,6 +35,12 @@ def says(selector: str, text: str) -> str:
     )
 
 
+def predicate(test: str) -> str:
+    """A condition as a function for the browser, with the helpers that it may use."""
+    helpers = "; ".join(f"const {name} = {code}" for name, code in HOLDS.items())
+    return f"() => {{ {helpers}; return {test}; }}"
+
+
 @dataclass
 class Row:
     """A row of the table: seconds to what came into view, clicks and letters of the journey.
@@ -124,8 +130,7 @@ class Person:
         seen: dict[str, float] = {}
         wanted = set(last) or set(what)
         tests = ", ".join(f"{name}: !!({test})" for name, test in what.items())
-        helpers = "; ".join(f"const {name} = {code}" for name, code in HOLDS.items())
-        look = f"() => {{ {helpers}; return {{ {tests} }}; }}"
+        look = predicate(f"({{ {tests} }})")
         while not wanted <= set(seen) and (now := time.monotonic() - self.began) < limit:
             try:
                 found = self.page.evaluate(look)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import time
 from typing import Any
 
 import psutil
 
 from experiments.journeys import made_files, records
-from experiments.journeys.person import READY, Person
+from experiments.journeys.person import READY, Person, predicate
 from experiments.journeys.served import Served
 
+_SEEN = 300  # ms in which a person sees what the last click did, before the next
 EVERY = 10  # effects between two rows
 _HEAP = "() => Math.round(performance.memory.usedJSHeapSize / 1e5) / 10"
 _NODES = "() => document.querySelectorAll('*').length"
@@ -40,14 +42,15 @@ def one_effect(person: Person, tab: Any, other: Any, number: int) -> None:
     """Add a candidate in one tab, change its figures; every third time undo all in the other."""
     tab.bring_to_front()
     person.page = tab
+    tab.wait_for_function(predicate(READY))
     shown_all(tab)
     choices = tab.locator("button[aria-label^='Add ']:enabled")
+    choices.first.wait_for()
     chosen = choices.nth((7 * number) % choices.count())
-    chips = tab.locator(".chip.added").count()
+    new = another_step(tab)
     person.start_clock()
     chosen.click()
-    ready = f"document.querySelectorAll('.chip.added').length != {chips} && ({READY})"
-    person.watch({"ready": ready}, 240.0)
+    person.watch({"ready": f"{new} && ({READY})"}, 240.0)
     titles = tab.locator(".q-tab").count()
     tab.locator(".q-tab").nth(number % titles).click()
     tab.locator("[role=tabpanel] .main-svg, [role=tabpanel] .equation").first.wait_for()
@@ -57,21 +60,28 @@ def one_effect(person: Person, tab: Any, other: Any, number: int) -> None:
 
 def shown_all(tab: Any) -> None:
     """Have all candidates listed."""
-    more = tab.locator("button:enabled:text-matches('^Show \\\\d+ (more|cand)')")
+    more = tab.get_by_role("button", name=re.compile(r"^Show \d+ (more|cand)"), disabled=False)
+    more.or_(tab.locator("button[aria-label^='Add ']:enabled")).first.wait_for()
     if more.count():
         more.first.click()
         tab.locator("button:has-text('Show fewer')").first.wait_for()
+
+
+def another_step(tab: Any) -> str:
+    """A condition: the address names another step than now."""
+    return f"location.search != {tab.evaluate('location.search')!r}"
 
 
 def undone(tab: Any, added: int) -> None:
     """Undo until the model is as it was, once the tab shows what was added in the other one."""
     tab.bring_to_front()
     shown = f"document.querySelectorAll('.chip.added').length == {added}"
-    tab.wait_for_function(f"{shown} && ({READY})")
-    while count := tab.locator(".chip.added").count():
+    tab.wait_for_function(predicate(f"{shown} && ({READY})"))
+    while tab.locator(".chip.added").count():
+        gone = another_step(tab)
         tab.locator("button:has-text('Undo'):enabled").first.click()
-        gone = f"document.querySelectorAll('.chip.added').length < {count}"
-        tab.wait_for_function(gone)
+        tab.wait_for_function(predicate(f"{gone} && ({READY})"))
+        tab.wait_for_timeout(_SEEN)
 
 
 def memory(person: Person, served: Served, tabs: list[Any], effects: int) -> None:
