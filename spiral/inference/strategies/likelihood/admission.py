@@ -271,16 +271,13 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
             if parameter.at_bound(value):
                 return Refusal(f"its {name} runs to the end of its range, {number(value)}")
             if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name) or np.inf):
-                reached = number(value)
-                return Refusal(
-                    f"its {name} goes to {reached}, far beyond the motion in these records"
-                )
+                far = f"its {name} goes to {number(value)}, far beyond the motion in these records"
+                return Refusal(far)
     if has_still_state(whole.fit, variant.label):
         return Refusal(_STILL_STATE)
-    table = model.estimates().get(rival.label, {})
-    fitted = {name: known.estimate for name, known in table.items() if known.se is not None}
-    contradiction = variant.original.contradiction(fitted)
-    return Refusal(contradiction) if contradiction else None
+    known = model.estimates().get(rival.label, {}).items()
+    said = variant.original.contradiction({n: e.estimate for n, e in known if e.se is not None})
+    return Refusal(said) if said else None
 
 
 def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
