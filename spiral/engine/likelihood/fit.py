@@ -45,6 +45,7 @@ from spiral.types.record import Array
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
 _GROWTH = 4.0  # factor by which a value that cannot be negative grows in one step, at most
 _LARGEST = 2.0  # most that the logarithm of a size moves in one step
+_IDLE = 1e-6  # information on the logarithm of a size below which it does nothing
 _ENOUGH = 0.02  # log-likelihood that is not worth another step
 ROUGH = 5e-4  # log-likelihood for each reading
 _FLOOR = 1.01  # times its least value up to which a size stays there
@@ -408,7 +409,8 @@ def _shift_parameter(prepared: FilterInputs, key: str, step: float) -> FilterInp
 def _size_slopes(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Array]:
     """Slopes of the misses over s^(1/2), and of log s, from a run with one size a little larger.
 
-    Nothing, where that run overflows: the size does not move.
+    Nothing, where that run overflows, or the size is idle: slopes that are of rounding alone would
+    move it at random. It stays where it is.
     """
     seen = part.spreads > 0
     if not (np.all(np.isfinite(misses)) and np.all(spreads[seen] > 0)):
@@ -416,4 +418,6 @@ def _size_slopes(part: Prediction, misses: Array, spreads: Array) -> tuple[Array
     miss = (misses - part.misses) * part.weight / _DIFFERENCE
     grown = np.log(spreads, where=seen, out=np.zeros_like(spreads))
     grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
-    return miss, grown / _DIFFERENCE
+    grown /= _DIFFERENCE
+    told = float(np.sum(miss**2) + 0.5 * np.sum(grown**2))
+    return (miss, grown) if told > _IDLE else (np.zeros_like(miss), np.zeros_like(grown))
