@@ -238,6 +238,17 @@ def restart_vanished_noise(
     return again if again.log_likelihood > fit.log_likelihood else fit
 
 
+def has_noiseless_sensor(fit: LikelihoodFit) -> bool:
+    """Whether a sensor would have no noise, beside a force that acts at random."""
+    noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
+    vanished = _vanished_noise_sizes(fit.estimate)
+    quiet = any(t.size in vanished for t in noise.terms if t.kind == "white")
+    acting = (t for t in noise.terms if t.kind in ("force", "gust"))
+    return quiet and any(
+        noise.values[t.size] > LEAST * size_limits(task, t.size)[0] for t in acting
+    )
+
+
 def _vanished_noise_sizes(at: MaximumLikelihood) -> dict[str, float]:
     """Sizes to start again from, of white noise and white forces that have vanished."""
     task = at.prepared[0][0]

@@ -37,11 +37,13 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     fit_by_likelihood,
     free_parameters,
+    has_noiseless_sensor,
     is_random_force_small,
     is_white,
     prepare_filter_tasks,
     reading_count,
     required_substeps,
+    schwarz_penalty,
 )
 from spiral.inference.likelihood.initial_states import refit_initial_states
 from spiral.inference.likelihood.noise_selection import drop_needless_noise, select_noise_model
@@ -134,16 +136,19 @@ def restart_from_sensor_noise(
     """The fit restarted with all of its residual taken for sensor noise, if that is likelier.
 
     Noise of a sensor and a random force on what it measures look alike over few samples: a fit may
-    end where one of them does the work of the other, and what is left is then not white. Noise that
-    is not white looks like motion, so the noise model is selected from there as well.
+    end where one of them does the work of the other, and what is left is then not white, or white
+    beside a sensor without any noise. Noise that is not white looks like motion, so the noise model
+    is selected from there as well.
     """
-    if not fit.estimate.finite or is_white(assembly, fit):
+    if not fit.estimate.finite or (is_white(assembly, fit) and not has_noiseless_sensor(fit)):
         return fit
     progress("starting again with sensor noise alone")
     again = fit_by_likelihood(assembly, fit.state, sensor_noise_only(fit), rough=True)
     if not is_white(assembly, again):
         again = select_noise_model(assembly, again, progress)
-    return again if again.log_likelihood > fit.log_likelihood else fit
+    fewer = len(fit.estimate.noise.names) - len(again.estimate.noise.names)
+    gain = again.log_likelihood - fit.log_likelihood
+    return again if gain + schwarz_penalty(max(fewer, 0), fit.estimate.prepared) > 0 else fit
 
 
 def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:
