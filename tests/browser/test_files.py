@@ -129,6 +129,7 @@ def test_a_machine_that_works_in_volts_needs_no_typing_but_its_units(tab, served
     choose(tab, "x", "out")
     choose(tab, "force", "drive")
     for name, field in (("x", "position_unit"), ("force", "force_unit")):
+        tab.wait_for_selector(".working", state="detached")
         tab.click(f"input[aria-label='unit of {name}']")  # as a person, who is in the field then:
         tab.keyboard.type("V")  # a form drawn anew meanwhile leaves it alone
         offer = f"#advice button:has-text(\"Use system.{field}='V'\")"

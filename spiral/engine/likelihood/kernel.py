@@ -30,10 +30,10 @@ from spiral.engine.filter.kernel import is_sound, reset_to_identity, slope_works
 from spiral.engine.likelihood.steady import (
     CALM,
     absorb_steadily,
+    count_calm,
     is_read_alike,
     is_same_reading,
     is_stationary,
-    load_slopes,
     store_slopes,
 )
 from spiral.engine.likelihood.transition import (
@@ -116,17 +116,8 @@ def _pad_covariance(matrix, width):
 
 
 @nb.njit(**INNER)
-def _store_gains(k, kept, misses, spreads, gains):
-    """Gains of a sample, where they are asked for."""
-    if gains.shape[0] > 0:
-        for j in range(gains.shape[1]):
-            for i in range(gains.shape[2]):
-                gains[k, j, i] = kept[j, i] if spreads[k, j] > 0.0 else 0.0
-
-
-@nb.njit(**INNER)
-def _store_sample(k, c, x, rows, means):
-    """Rows and mean of a sample, where they are asked for."""
+def _store_sample(k, c, x, kept, spreads, rows, means, gains):
+    """Rows, mean and gains of a sample, where they are asked for."""
     if rows.shape[0] > 0:
         for j in range(rows.shape[1]):
             for i in range(rows.shape[2]):
@@ -134,6 +125,10 @@ def _store_sample(k, c, x, rows, means):
     if means.shape[0] > 0:
         for i in range(means.shape[1]):
             means[k, i] = x[i]
+    if gains.shape[0] > 0:
+        for j in range(gains.shape[1]):
+            for i in range(gains.shape[2]):
+                gains[k, j, i] = kept[j, i] if spreads[k, j] > 0.0 else 0.0
 
 
 @nb.njit(**INNER, fastmath=_FAST)
@@ -154,6 +149,29 @@ def _advance_sample(flow, x, inputs, k, substeps, dt, values, same, f, work, own
             f[i, n + j] = own[i, j]
 
 
+@nb.njit(**INNER, fastmath=_FAST)
+def _take_reading(
+    k, calm, unchanging, output, absorb, x, p, c, cx, cv, both, tracked, seen, y, r, h, kept,
+    kept_rows, s, scratch, space, d, misses, spreads, slopes, states, reading, values,
+):  # fmt: skip
+    """A sample's reading taken in, by the gains of the one before where P is stationary.
+
+    ``calm`` counts samples in which no variance changed; so many there are still, or -1 where a
+    variance is not positive.
+    """
+    output(states, reading, values, h, cx, cv)
+    _reading_rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
+    usual = unchanging and is_same_reading(k, c, kept_rows, misses)
+    if calm >= CALM and not usual:
+        store_slopes(s, p, len(p))
+    if usual and calm >= CALM:
+        absorb_steadily(k, x, s, c, cv, both, kept, scratch[0], d, misses, spreads, slopes)
+    elif not _absorb_sample(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
+                            spreads, slopes, kept):  # fmt: skip
+        return -1
+    return calm if usual else 0
+
+
 @nb.njit(**LOOP, fastmath=_FAST)
 def _predict_along(
     values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
@@ -164,23 +182,17 @@ def _predict_along(
     """The loop of ``predict_record``, in arrays made before."""
     size, width = len(q), slopes.shape[2]
     n, first, half = len(states), len(followed_states), 0.5 * dt
-    unchanging = constant and tracked == 0 and len(r) == 1
-    k = calm = 0
+    k, calm, unchanging = 0, 0, constant and tracked == 0 and len(r) == 1
     for k in range(y.shape[0]):
         write_tracked(values, followed, followed_states)
-        output(states, inputs[k * 3 * substeps], values, h, cx, cv)
-        _reading_rows(cx, cv, both, tracked, seen, x, y, h, k, c, misses)
-        usual = unchanging and is_same_reading(k, c, kept_rows, misses)
-        if calm >= CALM and not usual:
-            store_slopes(s, p, size)
-        calm = calm if usual else 0
-        if calm >= CALM:
-            absorb_steadily(k, x, s, c, cv, both, kept, scratch[0], d, misses, spreads, slopes)
-        elif not _absorb_sample(absorb, x, p, c, cv, both, tracked, r, scratch, space, k, d, misses,
-                         spreads, slopes, kept):  # fmt: skip
+        calm = _take_reading(
+            k, calm, unchanging, output, absorb, x, p, c, cx, cv, both, tracked, seen, y, r, h,
+            kept, kept_rows, s, scratch, space, d, misses, spreads, slopes, states,
+            inputs[k * 3 * substeps], values,
+        )  # fmt: skip
+        if calm < 0:
             return k
-        _store_sample(k, c, x, rows, means)
-        _store_gains(k, kept, misses, spreads, gains)
+        _store_sample(k, c, x, kept, spreads, rows, means, gains)
         if k == y.shape[0] - 1 or not is_sound(x, p):
             break
         write_tracked(values, followed, followed_states)
@@ -199,10 +211,7 @@ def _predict_along(
         apply_transition(product, a, phi, links, p, later, n, size)
         transition_slopes(later, f, p, n, first, size, width, len(p))
         transition_covariance(lower, later, turned, q, p, size)
-        if unchanging:
-            calm = calm + 1 if is_stationary(p, variances, size) else 0
-            if calm == CALM:
-                load_slopes(p, s, size)
+        calm = count_calm(calm, unchanging, p, variances, s, size)
     return k + 1 if is_sound(x, p) else k
 
 

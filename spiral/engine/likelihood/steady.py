@@ -68,6 +68,17 @@ def store_slopes(s, p, size):
             p[i, wide + j] = s[i, j]
 
 
+@nb.njit(**INNER)
+def count_calm(calm, unchanging, p, variances, s, size):
+    """Samples in a row in which no variance changed; S leaves M where P becomes stationary."""
+    if not unchanging:
+        return 0
+    calm = calm + 1 if is_stationary(p, variances, size) else 0
+    if calm == CALM:
+        load_slopes(p, s, size)
+    return calm
+
+
 @nb.njit(**INNER, fastmath=_FAST)
 def absorb_steadily(k, x, s, c, cv, both, kept, before, d, misses, spreads, slopes):
     """All channels of a sample taken in with the gains and variances ``kept`` (K, then s)."""
