@@ -178,6 +178,8 @@ def test_a_value_that_went_far_from_the_one_given_is_told():
         "linear_stiffness.stiffness is zero within its error, where 100 was given: what else the "
         "model holds does its work"
     )
+    estimate.errors["linear_stiffness.stiffness"] = 100.0  # it may be as given
+    assert len(far_value_sentences(estimate, given)) == 1
 
 
 def test_a_damper_that_ends_up_feeding_the_machine_is_told_where_it_was_given_as_one():

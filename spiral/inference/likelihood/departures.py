@@ -78,12 +78,15 @@ def far_value_sentences(estimate: MaximumLikelihood, given: Mapping[str, float])
     said = []
     for key in estimate.keys:
         value, first = estimate.values[key], given.get(key)
-        if first and abs(value) <= _ZERO * estimate.errors.get(key, 0.0):
+        doubt = _ZERO * estimate.errors.get(key, 0.0)
+        if not first or max(abs(value), abs(value - first)) <= doubt:  # it may be as given
+            continue
+        if abs(value) <= doubt:
             said.append(
                 f"{without_variant(key)} is zero within its error, where {number(first)} was "
                 "given: what else the model holds does its work"
             )
-        elif first and not 1 / _FAR <= value / first <= _FAR:
+        elif not 1 / _FAR <= value / first <= _FAR:
             prefix = 1 / _UNIT > value / first > 0 or value / first > _UNIT
             unit = ", or a unit is, of it or of a channel" if prefix else ""
             said.append(
