@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from spiral.inference.disturbances import random_forces
+from spiral.inference.disturbances import random_forces, what_acts
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence
@@ -72,24 +72,26 @@ def _ending_sentence(
     """Why the loop ended."""
     near, caveat = is_near_noise(last, settings), random_force_caveat(last, settings, "these")
     caveat = f" {caveat}" if caveat else ""
+    random = f" and random {what_acts(last.model)}s"
     if verdict == "nothing_missing":
-        beside = " and random forces" if random_forces(last) else ""
+        beside = random if random_forces(last) else ""
         return f"The model explains this record down to its noise{beside}.{caveat}"
     if stopped == "max_rounds":
         return "The loop stopped at its largest number of rounds."
     if stopped == "no_candidate" or not near:
         return "No further candidate passes the gates."
-    beside = " and random forces" if caveat else ""
+    beside = random if caveat else ""
     return f"What is left is white noise{beside}.{caveat}"
 
 
-def random_force_caveat(last: Comparison, settings: Settings, named: str = "random forces") -> str:
+def random_force_caveat(last: Comparison, settings: Settings, named: str = "") -> str:
     """What random forces mean that move a free run by more than the smallest effect that counts.
 
-    ``named`` is what the sentence begins with; it is empty where they move it by less.
+    The sentence begins with ``named``, or names them; it is empty where they move it by less.
     """
     if not random_forces(last) or not last.disturbed > settings.smallest:
         return ""
+    named = named or f"random {what_acts(last.model)}s"
     much = "all" if last.disturbed >= 1.0 else percent(last.disturbed)
     return (
         f"{named[:1].upper()}{named[1:]} move a free run by {much} of the motion: if nothing "

@@ -16,6 +16,7 @@ from spiral.inference.disturbances import (
     random_forces,
     random_sentence,
     record_sentence,
+    what_acts,
 )
 from spiral.inference.identifiability.undetermined import (
     describe_held_parameters,
@@ -254,7 +255,8 @@ def _figures_clause(comparison: Comparison, settings: Settings) -> str:
     ):
         error = (
             f"one sample ahead the error on unseen data is {percent(ahead)} (noise floor {floor}); "
-            "a free run is no test here: random forces or uncertain values move it too far"
+            f"a free run is no test here: random {what_acts(comparison.model)}s or uncertain "
+            "values move it too far"
         )
     if comparison.random is not None:
         kind = "white noise" if comparison.whiteness_p >= settings.whiteness_level else "noise"
@@ -383,7 +385,7 @@ def _error_clause(first: Comparison, last: Comparison) -> str:
     if is_free_run_carried_away(last) and before is not None and after is not None:
         return (
             f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; "
-            "random forces or uncertain values move a free run too far)"
+            f"random {what_acts(last.model)}s or uncertain values move a free run too far)"
         )
     now = f"{percent(last.test_error)} (noise floor {floor})"
     if not np.isfinite(first.test_error):
@@ -398,8 +400,8 @@ def _growth_excuse(first: Comparison, last: Comparison) -> str:
     if not grown or before is None or after is None:
         return ""
     return (
-        ", which noise and random forces explain in a free run; one sample ahead "
-        f"{percent(before)} -> {percent(after)}"
+        f", which noise and random {what_acts(last.model)}s explain in a free run; one sample "
+        f"ahead {percent(before)} -> {percent(after)}"
     )
 
 

@@ -62,7 +62,7 @@ def test_what_pushes_one_state_is_told_there_with_its_time():
     assert "gust.w" in forces
     assert not any(name.endswith((".v", ".observed")) for name in forces)
     assert run.final.random_times["gust.w"] == pytest.approx(0.4, rel=0.35)
-    assert "a random force acts on w:" in run.summary.lower()
+    assert "a random flow acts on w:" in run.summary.lower()
 
 
 OSCILLATOR = seed_model(registry().make("system", "oscillator"))

@@ -24,6 +24,7 @@ from spiral.engine.filter.noise import driven_states
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.score import residual_block_samples
+from spiral.inference.disturbances import what_acts
 from spiral.physics.passivity import implausible_signs
 from spiral.types.formatting import number, percent
 from spiral.types.invalid import reading_step
@@ -38,8 +39,8 @@ _COUNTS = 0.005  # share of its value that a parameter drifts by
 _RATIOS = np.geomspace(0.03, 100.0, 18)  # b / a of noise that grows
 _TWO = 4.0  # twice log-likelihood by which noise that grows from zero, not from the mean, is told
 _FAR = 10.0  # times a value given, or its inverse, from which a fitted one is far from it
-_ZERO = 2.0  # standard errors within which a value is not told from zero
 _UNIT = 300.0  # the same, from which a unit may be off by its prefix
+_ZERO = 2.0  # standard errors within which a value is not told from zero
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _HALF = 0.5  # share of what is missed from which a converter's steps are told
 _FEWEST = 64  # samples
@@ -73,13 +74,13 @@ def far_value_sentences(estimate: MaximumLikelihood, given: Mapping[str, float])
 
     A fit that lacks something makes up for it with whatever is free: a mass of 1.5 kg became 5 g.
     A value that is not told from zero is no longer needed: the stiffness of a coupling that has
-    play belongs to the clearance.
+    play belongs to the clearance. Of one that may be as given nothing is said.
     """
     said = []
     for key in estimate.keys:
         value, first = estimate.values[key], given.get(key)
         doubt = _ZERO * estimate.errors.get(key, 0.0)
-        if not first or max(abs(value), abs(value - first)) <= doubt:  # it may be as given
+        if not first or max(abs(value), abs(value - first)) <= doubt:
             continue
         if abs(value) <= doubt:
             said.append(
@@ -132,7 +133,10 @@ def _noisy_input_remark(estimate: MaximumLikelihood, random: Iterable[str]) -> t
     if not names:
         return ()
     many = "inputs" if len(names) > 1 else "input"
-    return (f"noise in the measured {many} {', '.join(names)} would look like that random force",)
+    acting = what_acts(task.model)
+    return (
+        f"noise in the measured {many} {', '.join(names)} would look like that random {acting}",
+    )
 
 
 def drifting_parameters(estimate: MaximumLikelihood) -> dict[str, float]:

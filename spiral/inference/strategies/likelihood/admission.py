@@ -20,7 +20,7 @@ import numpy as np
 from spiral.engine.likelihood.fit import add_standard_errors
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import FilterInputs, Masks
-from spiral.inference.disturbances import random_forces
+from spiral.inference.disturbances import random_forces, what_acts
 from spiral.inference.evidence.assembly import Assembly, build_variants
 from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants, without_variants
 from spiral.inference.evidence.fit_state import FitState
@@ -359,8 +359,9 @@ def refuse_unhelpful(
     """
     forces = max(random_forces(after).values(), default=0.0)
     if forces >= _BOUND * options.random_limit:
+        acting = what_acts(after.model)
         return Refusal(
-            "with it, too, a random force as large as the machine's own forces would have to act: "
+            f"with it, too, a random {acting} as large as the machine's own would have to act: "
             "the fit has not found the right values, or the record is of another machine",
             alone=True,
         )
