@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import build_task, with_start_spread
+from spiral.engine.filter.task import FilterInput, build_task, with_start_spread
 from spiral.engine.likelihood.fit import MaximumLikelihood, SlopeCache, maximise_likelihood
 from spiral.engine.likelihood.noise import (
     NoiseModel,
+    NoiseTerm,
     drop_inapplicable_forces,
     first_noise,
     size_limits,
@@ -33,7 +34,7 @@ from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
 WARM = 6  # scoring steps of a fit on some blocks that starts from a fit of all samples
-LEAST = 1.5  # times its lower limit, up to which the size of a random force counts as none
+_LEAST = 1.5  # times its lower limit, up to which the size of a random force counts as none
 LITTLE = 0.05  # random force up to which it is small, as a share of the model's own
 _FAINT = 0.1  # share of the innovations' rms under which white noise counts as vanished
 WORTH = 1.0  # gain in log-likelihood from which other initial states or starts are taken
@@ -243,10 +244,14 @@ def has_noiseless_sensor(fit: LikelihoodFit) -> bool:
     noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
     vanished = _vanished_noise_sizes(fit.estimate)
     quiet = any(t.size in vanished for t in noise.terms if t.kind == "white")
-    acting = (t for t in noise.terms if t.kind in ("force", "gust"))
     return quiet and any(
-        noise.values[t.size] > LEAST * size_limits(task, t.size)[0] for t in acting
+        t.kind in ("force", "gust") and is_acting(task, noise, t) for t in noise.terms
     )
+
+
+def is_acting(task: FilterInput, noise: NoiseModel, term: NoiseTerm) -> bool:
+    """Whether a term's size is above its least value, at which it does nothing."""
+    return noise.values[term.size] > _LEAST * size_limits(task, term.size)[0]
 
 
 def _vanished_noise_sizes(at: MaximumLikelihood) -> dict[str, float]:
@@ -259,7 +264,7 @@ def _vanished_noise_sizes(at: MaximumLikelihood) -> dict[str, float]:
         size = at.noise.values[term.size]
         if term.kind == "white" and size < _FAINT * missed[term.where]:
             sizes[term.size] = 0.5 * float(missed[term.where])
-        elif term.kind == "force" and size < LEAST * size_limits(task, term.size)[0]:
+        elif term.kind == "force" and size < _LEAST * size_limits(task, term.size)[0]:
             sizes[term.size] = LEVEL
     return sizes
 

@@ -27,9 +27,9 @@ from spiral.engine.threads import run_in_threads
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
-    LEAST,
     LikelihoodFit,
     continue_fit,
+    is_acting,
     is_white,
     longest,
     schwarz_penalty,
@@ -147,9 +147,9 @@ def _alternative_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
     task, noise = at.prepared[0][0], at.noise
     shared = shared_groups(task)
     for term in (t for t in noise.terms if t.kind in ("force", "gust")):
-        size = noise.values[term.size]
-        if not size > LEAST * size_limits(task, term.size)[0]:
+        if not is_acting(task, noise, term):
             continue
+        size = noise.values[term.size]
         others = noise.select_terms(t for t in noise.terms if t is not term)
         states = [task.states[i] for i in shared.get(term.where, ())]
         times = {k: v for k, v in noise.values.items() if k == term.time}
@@ -182,7 +182,7 @@ def _separate_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
         size, each = noise.values[term.size], tuple(
             replace(term, where=task.states[i]) for i in shared[term.where]
         )  # fmt: skip
-        if size > LEAST * size_limits(task, term.size)[0]:
+        if is_acting(task, noise, term):
             others = noise.select_terms(t for t in noise.terms if t is not term)
             kept = {k: v for k, v in noise.values.items() if k != term.size}
             yield others.with_terms(each, kept | {t.size: size for t in each})
@@ -340,7 +340,7 @@ def drop_needless_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFi
     least = {
         t.size: size_limits(task, t.size)[0]
         for t in noise.terms
-        if t.kind == "force" and noise.values[t.size] > LEAST * size_limits(task, t.size)[0]
+        if t.kind == "force" and is_acting(task, noise, t)
     }
     if not fit.estimate.finite or not least:
         return fit

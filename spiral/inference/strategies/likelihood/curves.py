@@ -50,7 +50,7 @@ from spiral.inference.strategies.likelihood.laws import (
     fit_without,
     full_log_likelihood,
     stand_in_labels,
-    undetermined_stand_ins,
+    undetermined_among,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
@@ -131,23 +131,19 @@ def find_equal_curve(
     as with the effects once these have paid for their numbers (Schwarz). Nothing where none does,
     or all effects are determined. ``state`` : the study's; others as in ``find_missing_curve``.
     """
-    settings = assembly.problem.settings
-    unsure = undetermined_stand_ins(assembly, base, comparison)
+    settings, gone = assembly.problem.settings, stand_in_labels(assembly, base)
+    unsure = undetermined_among(assembly, gone, comparison)
     if not unsure:
         return None
-    gone = stand_in_labels(assembly, base)
     replaces = tuple(assembly.variant(x).original.label for x in gone)
     progress(f"trying one curve in place of {', '.join(replaces)}")
-    known, start = (
-        full_log_likelihood(assembly, state),
-        fit_without(assembly, base, gone, masks[0], progress),
-    )
+    start = fit_without(assembly, base, gone, masks[0], progress)
     if start is None:
         return None
-    assembly = offer_effects(assembly, assembly.problem.dictionary)
-
     numbers = len(base.estimate.keys) - len(start.estimate.keys)
-    least = known - schwarz_penalty(numbers, start.estimate.prepared)
+    price = schwarz_penalty(numbers, start.estimate.prepared)
+    least = full_log_likelihood(assembly, state) - price
+    assembly = offer_effects(assembly, assembly.problem.dictionary)
 
     def objection(whole: WholeRecordFit) -> Refusal | None:
         told = replace(whole.refitted.comparison, converged=True)  # no knot has to be determined

@@ -104,7 +104,7 @@ def find_named_law(
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
     several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
     moved = _is_moved_at_random(comparison, assembly.problem.settings)
-    unsure = undetermined_stand_ins(assembly, base, comparison)
+    unsure = undetermined_among(assembly, gone, comparison)
     if (white and not (several or aided or moved or unsure)) or not options.laws:
         return None
     laws = laws_of(assembly.problem.model.system)
@@ -159,11 +159,11 @@ def stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
     return plain if plain or is_random_force_small(base) else tuple(held)
 
 
-def undetermined_stand_ins(
-    assembly: Assembly, base: LikelihoodFit, comparison: Comparison
+def undetermined_among(
+    assembly: Assembly, labels: tuple[str, ...], comparison: Comparison
 ) -> tuple[str, ...]:
-    """Those of the effects that a law may replace of whose values the record tells none."""
-    added = tuple(assembly.variant(x).original.label for x in stand_in_labels(assembly, base))
+    """Effects, of these compiled labels, of whose values the record tells none."""
+    added = tuple(assembly.variant(x).original.label for x in labels)
     return undetermined_effects(comparison.model, added, assembly.problem.settings)
 
 
