@@ -56,9 +56,11 @@ def legend(page, figure):
 
 
 def choose(page, label, option):
-    """Choose a column for a series in the mapping."""
+    """Choose a column for a series in the mapping; each list has closed before the next click."""
+    page.wait_for_selector(".q-menu", state="detached")
     page.click(f"[data-for='{label}'] .q-select")
     page.click(f".q-menu .q-item:has-text('{option}')")
+    page.wait_for_selector(".q-menu", state="detached")
     page.wait_for_selector(f"[data-for='{label}'] .q-select:has-text('{option}')")
 
 
