@@ -103,3 +103,11 @@ def length(values: Any) -> Any:
     return sqrt(
         squares + sys.modules["sympy"].Float("1e-200") if _is_symbolic(squares) else squares
     )
+
+
+def positive(value: Any) -> Any:
+    """A dimensionless value d rounded above zero: (d + (d^2 + e^2)^(1/2)) / (1 + (1 + e^2)^(1/2)).
+
+    With e = 0.01; one at d = 1.
+    """
+    return (value + length([value, 0.01])) / (1 + length([1, 0.01]))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from spiral.math import length, tanh
+from spiral.math import length, positive, tanh
 from spiral.physics.learned import (
     COUNT,
     LearnedFlow,
     LearnedForce,
+    LearnedParameterChange,
     LearnedStateFlow,
     coefficients,
     curve,
@@ -113,6 +114,20 @@ class LearnedExchange(LearnedStateFlow):
         a, b = at.position
         moved = _shared_curve((a - b) / p.span, p)
         return [-moved, moved]
+
+
+class LearnedChange(LearnedParameterChange):
+    """A parameter that follows a variable by a curve: value = p (1 + B(v/S) - B(0)).
+
+    The factor is rounded above zero (``spiral.math.positive``).
+    """
+
+    parameters = coefficients("", "position", per_axis=False, count=COUNT - 1)
+
+    def factor(self, at, u, p):
+        """1 + B(v/S) - B(0)."""
+        values = [*(getattr(p, f"c{k}") for k in range(COUNT - 1)), 0]
+        return positive(1 + curve(at.position[0] / p.span, values) - curve(0.0, values))
 
 
 class LearnedTransfer(LearnedFlow):

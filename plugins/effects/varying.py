@@ -7,7 +7,7 @@ is one where v is zero (of a power where v is its unit): a free parameter is the
 
 from __future__ import annotations
 
-from spiral.math import exp, length, log, tanh
+from spiral.math import exp, length, log, positive, tanh
 from spiral.types.effect import ParameterEffect
 from spiral.types.parameter import Parameter
 
@@ -75,8 +75,7 @@ class InverseChange(ParameterEffect):
     """A parameter whose inverse changes in proportion to what it follows: value = p / (1 + a v).
 
     A rope's stiffness with its free length, a force over a gap, compliances in series, a reaction
-    that is inhibited (1 + S/K_i). The divisor d is rounded above zero: (d + (d^2 + e^2)^(1/2)) / 2
-    over its value at d = 1, e = 0.01.
+    that is inhibited (1 + S/K_i). The divisor is rounded above zero (``spiral.math.positive``).
     """
 
     parameters = (Parameter("slope", "1/position"),)
@@ -84,8 +83,22 @@ class InverseChange(ParameterEffect):
     def factor(self, at, u, p):
         """1 / (1 + a v)."""
         (v,) = at.position
-        divisor = 1 + p.slope * v
-        return (1 + length([1, 0.01])) / (divisor + length([divisor, 0.01]))
+        return 1 / positive(1 + p.slope * v)
+
+
+class InverseQuadraticChange(ParameterEffect):
+    """A parameter that falls alike on both sides of zero: value = p / (1 + b v^2), b >= 0.
+
+    The inductance of a coil whose iron saturates with its current, a gain near a resonance, a
+    friction that falls with sliding speed, a rate that its own substance inhibits.
+    """
+
+    parameters = (Parameter("curvature", "1/position^2", lower=0.0),)
+
+    def factor(self, at, u, p):
+        """1 / (1 + b v^2)."""
+        (v,) = at.position
+        return 1 / (1 + p.curvature * v * v)
 
 
 class SaturatingChange(ParameterEffect):

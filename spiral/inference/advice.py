@@ -60,9 +60,12 @@ def _curve_advice(shape: Mapping[str, Any]) -> str:
     how = "settings.learned=true"
     if not shape.get("replaces"):
         how = f"spiral add {shape['effect']} run=latest, or {how}"
+    floor = shape.get("noise_floor") or 0.0
+    with_it = f"With it the test error is {percent(shape['test_error'])}" if floor else ""
+    told = f"{with_it} (noise floor {percent(floor)}). " if with_it else ""
     return (
-        f"Its shape: {shape['sentence']} Admit the curve ({how}), or write the effect that it "
-        "suggests."
+        f"Its shape: {shape['sentence']} {told}Admit the curve ({how}), or write the effect that "
+        "it suggests."
     )
 
 

@@ -29,7 +29,6 @@ import numpy as np
 from spiral.inference.disturbances import (
     coloured_noise,
     random_forces,
-    random_shares,
     what_acts,
 )
 from spiral.inference.problem import Settings
@@ -38,7 +37,6 @@ from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison
 
 _SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to make of one free run
-LASTING = 0.1  # of a record: longest correlation time of noise with many independent values
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 _CHANCE = 2.0  # standard errors that an error ahead grows by chance once in forty
@@ -148,11 +146,8 @@ def _scale_of_noise(comparison: Comparison, settings: Settings) -> float:
 
 def _free_run_floor(comparison: Comparison, settings: Settings) -> float:
     """The error of a free run that noise of the sensors alone makes."""
-    return float(
-        np.hypot(
-            _scale_of_noise(comparison, settings) * comparison.noise_floor, _drift_error(comparison)
-        )
-    )
+    white = _scale_of_noise(comparison, settings) * comparison.noise_floor
+    return float(np.hypot(white, comparison.drifting))
 
 
 def _random_spread(comparison: Comparison) -> float:
@@ -169,7 +164,7 @@ def is_error_unexplained(comparison: Comparison, settings: Settings) -> bool:
     """
     if comparison.innovation_chi2 is not None and comparison.random is None:
         return False
-    floor, drifting = _free_run_floor(comparison, settings), _drift_error(comparison)
+    floor, drifting = _free_run_floor(comparison, settings), comparison.drifting
     if is_free_run_carried_away(comparison):
         ahead = next_sample_error(comparison)
         return ahead is not None and not ahead <= max(_HALF, 2 * floor)
@@ -189,27 +184,6 @@ def is_free_run_carried_away(comparison: Comparison) -> bool:
 def next_sample_error(comparison: Comparison) -> float | None:
     """The error on unseen data one sample ahead; nothing where there are none."""
     return next((h.error for h in comparison.unseen if h.samples == 1), None)
-
-
-def _drift_error(comparison: Comparison) -> float:
-    """Free-run error by drifting sensors: rms of their shares over channels.
-
-    Noise whose correlation time exceeds a tenth of the record counts as drift.
-    """
-    lasts = LASTING * comparison.horizon * _sample_seconds(comparison)
-    slow = {
-        n: v
-        for n, v in coloured_noise(comparison).items()
-        if comparison.random_times.get(n, 0) > lasts
-    }
-    shares = (*random_shares(comparison, "drift").values(), *slow.values())
-    return float(np.sqrt(sum(v**2 for v in shares) / max(len(comparison.channels), 1)))
-
-
-def _sample_seconds(comparison: Comparison) -> float:
-    """Seconds of a sample; infinite where no horizon says."""
-    each = (h.seconds / h.samples for h in comparison.unseen if h.samples and h.seconds)
-    return next(each, np.inf)
 
 
 def is_near_noise(comparison: Comparison, settings: Settings) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from spiral.types.effect import Effect
+from spiral.types.effect import Effect, StateFlow
 from spiral.types.model import Model
 from spiral.types.parameter import Interpolation
 from spiral.types.placement import at_fitting_places
@@ -124,10 +124,19 @@ class Problem:
         return at_fitting_places(self.model.system, self.varying)
 
     def candidates_beside(self, effect: Effect) -> tuple[Effect, ...]:
-        """The candidates at an effect's place."""
-        system = self.model.system
-        at = system.place(effect).name
-        return tuple(e for e in self.candidates if system.place(e).name == at)
+        """The candidates at an effect's place, and flows into the same states from anywhere.
+
+        A loss that follows a temperature and one that follows its distance from the room's differ
+        little where the room's hardly changes.
+        """
+        system, at = self.model.system, self.model.system.place(effect)
+
+        def is_beside(other: Effect) -> bool:
+            place = system.place(other)
+            flows = isinstance(effect, StateFlow) and isinstance(other, StateFlow)
+            return place.name == at.name or (flows and place.axes == at.axes)
+
+        return tuple(e for e in self.candidates if is_beside(e))
 
     def spoilt_sentences(self) -> tuple[str, ...]:
         """What readings are no measurement, in words; those of the test records named as such."""

@@ -178,7 +178,7 @@ class Registry:
         return tuple(effects)
 
     def varying(self) -> tuple[Effect, ...]:
-        """The forms in which a parameter may follow a variable, without a place."""
+        """The forms in which a parameter may follow a variable, without a place; a curve is one."""
         from spiral.types.effect import ParameterEffect
 
         plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
@@ -188,13 +188,23 @@ class Registry:
         """Learned effects (``spiral.physics.learned``) at every place where they fit.
 
         Those at the first port come first, without its name. A flow into any state is left out
-        where there are curves for flows between named channels.
+        where there are curves for flows between named channels; a parameter that follows a variable
+        by a curve is one of ``varying``.
         """
-        from spiral.physics.learned import Learned, LearnedFlow, LearnedStateFlow
+        from spiral.physics.learned import (
+            Learned,
+            LearnedFlow,
+            LearnedParameterChange,
+            LearnedStateFlow,
+        )
         from spiral.types.placement import at_fitting_places
 
         plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
-        curves = tuple(plugin() for plugin in plugins if issubclass(plugin, Learned))
+        curves = tuple(
+            plugin()
+            for plugin in plugins
+            if issubclass(plugin, Learned) and not issubclass(plugin, LearnedParameterChange)
+        )
         effects = at_fitting_places(system, curves)
         named = any(isinstance(e, LearnedFlow) for e in effects)
         kept = (e for e in effects if not (named and isinstance(e, LearnedStateFlow)))

@@ -1,4 +1,4 @@
-"""Learned effects: a force or a flow of unknown form, as a curve over one state.
+"""Learned effects: a force, a flow or a change of a parameter of unknown form, as a curve.
 
     F = B(z) g,    B(z) = sum_k c_k b_k(z),    k = 0 .. 20
 
@@ -9,6 +9,9 @@ them, so that a motion larger than any seen goes on along the last slope. Over a
 z = 2 s / S - 1. The factor g holds no unknowns (1, a velocity, its direction, a displacement). Such
 an effect is linear in its coefficients c_k, so it is scored, fitted and judged like any other. It
 is no candidate unless it is asked for.
+
+The value of a parameter that varies is p (1 + B(z) - B(0)), p its own where the variable is zero:
+without the last function, which is a constant.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
 from spiral.math import length
-from spiral.types.effect import FlowEffect, ForceEffect, StateFlow
+from spiral.types.effect import FlowEffect, ForceEffect, ParameterEffect, StateFlow
 from spiral.types.parameter import Parameter
 
 COUNT = 21
@@ -91,18 +94,25 @@ class LearnedStateFlow(StateFlow):
     times: ClassVar[str] = ""
 
 
-Learned = LearnedForce | LearnedFlow | LearnedStateFlow
+class LearnedParameterChange(ParameterEffect):
+    """A parameter that follows a variable by a curve: ``c0`` to ``c19`` and ``span``."""
+
+    bare: ClassVar[bool] = True
+    times: ClassVar[str] = ""
+
+
+Learned = LearnedForce | LearnedFlow | LearnedStateFlow | LearnedParameterChange
 
 
 def coefficients(
-    unit: str, of: str, per_axis: bool = True, extent: float = 0.8
+    unit: str, of: str, per_axis: bool = True, extent: float = 0.8, count: int = COUNT
 ) -> tuple[Parameter, ...]:
     """Parameters of a curve: its coefficients in ``unit``, and its extent, a share of the largest.
 
     ``of`` : the unit of the state, ``position`` or ``velocity``.
     """
     span = Parameter("span", of, lower=0.0, role="shape", start=1.0, grid=(extent,))
-    parts = (Parameter(f"c{k}", unit, per_axis=per_axis, loose=True) for k in range(COUNT))
+    parts = (Parameter(f"c{k}", unit, per_axis=per_axis, loose=True) for k in range(count))
     return (*parts, span)
 
 

@@ -84,6 +84,7 @@ class Comparison(Readable):
         passive machine does not have, most likely values far from those of the best free run.
     disturbed : error of the test's free run to be expected from random forces.
     uncertain : the same from the uncertainty of parameters and initial state.
+    drifting : the same from sensors that drift, or whose noise lasts long.
     followed : share of a coloured residual that motion and inputs explain.
     between : how inputs are interpolated.
     traces : the time series behind it; not saved.
@@ -110,6 +111,7 @@ class Comparison(Readable):
     contradictions: tuple[str, ...] = ()
     disturbed: float = 0.0
     uncertain: float = 0.0
+    drifting: float = 0.0
     followed: float | None = None
     between: Mapping[str, Interpolation] = field(default_factory=dict)
     traces: Traces | None = field(default=None, compare=False, repr=False)
@@ -137,6 +139,7 @@ class Comparison(Readable):
             "contradictions": list(self.contradictions),
             "disturbed": self.disturbed,
             "uncertain": self.uncertain,
+            "drifting": self.drifting,
             "followed": self.followed,
             "between": dict(self.between),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.linalg import expm
+from spiral_plugins.effects.learned import LearnedChange
 from spiral_plugins.effects.varying import (
     ExponentialChange,
+    InverseQuadraticChange,
     LinearChange,
     PowerChange,
     QuadraticChange,
@@ -17,6 +19,7 @@ from spiral_plugins.effects.varying import (
 
 import spiral
 from spiral.inference.problem import silent
+from spiral.inference.unknown.forcecurve import _share_of_mean
 from spiral.io.export.equation import equation_text
 from spiral.physics.signatures import SystemMotion, signatures
 from spiral.physics.trace import trace
@@ -32,6 +35,7 @@ FORMS = [
     (QuadraticChange, {"slope": 0.3, "curvature": -0.1}, lambda v: 1 + 0.3 * v - 0.1 * v * v),
     (PowerChange, {"exponent": 0.8, "unit": 2.0}, lambda v: np.hypot(v / 2, 0.01) ** 0.8),
     (ExponentialChange, {"rate": -0.4}, lambda v: np.exp(-0.4 * v)),
+    (InverseQuadraticChange, {"curvature": 0.4}, lambda v: 1 / (1 + 0.4 * v * v)),
     (SaturatingChange, {"change": 0.5, "scale": 0.7}, lambda v: 1 + 0.5 * np.tanh(v / 0.7)),
     (SwitchedChange, {"change": 0.5, "point": 1.0, "width": 1e-3}, lambda v: 1 + 0.5 * (v > 1)),
 ]
@@ -56,23 +60,23 @@ def heater():
     )  # fmt: skip
 
 
-def record_of(system, conductance, seed, noise=0.01):
+def record_of(system, conductance, seed, noise=0.01, samples=SAMPLES, held=HELD):
     """A record of the heater, exact for held inputs, with white noise on Tw."""
     rng = np.random.default_rng(seed)
-    power, flow = (np.repeat(rng.uniform(low, high, SAMPLES // HELD), HELD)
+    power, flow = (np.repeat(rng.uniform(low, high, samples // held), held)
                    for low, high in ((200, 1500), (0.2, 1.5)))  # fmt: skip
-    states, x = np.zeros((SAMPLES, 2)), np.zeros(2)
-    for k in range(SAMPLES):
+    states, x = np.zeros((samples, 2)), np.zeros(2)
+    for k in range(samples):
         states[k] = x
-        if k % HELD == 0:
+        if k % held == 0:
             h = conductance(flow[k])
             rates = np.zeros((3, 3))  # the third state is one
             rates[0] = -h / 4000, h / 4000, power[k] / 4000
             rates[1] = h / 9000, -(h + 12) / 9000, 0
             over = expm(rates * STEP)
         x = over[:2, :2] @ x + over[:2, 2]
-    seen = states[:, 1] + noise * states[:, 1].std() * rng.normal(size=SAMPLES)
-    time = np.arange(SAMPLES) * STEP
+    seen = states[:, 1] + noise * states[:, 1].std() * rng.normal(size=samples)
+    time = np.arange(samples) * STEP
     return make_record(system, f"seed {seed}", time, {"Tw": seen}, {"P": power, "q": flow})
 
 
@@ -156,6 +160,57 @@ def test_a_conductance_that_grows_with_a_power_of_the_flow_is_named():
     told = run.model.estimates()["power_change@h-q"]["exponent"]
     assert abs(told.estimate - 0.8) < 3 * told.se
     assert run.rounds[-1].comparison.test_error < 1.1 * run.rounds[-1].comparison.noise_floor
+
+
+def bump(flow):
+    """A conductance that is of none of the forms: a bump over the flow."""
+    return 33.0 * (1 + 0.8 * np.exp(-(((flow - 0.8) / 0.2) ** 2)))
+
+
+@pytest.fixture(scope="module")
+def bumpy():
+    system = heater()
+    record = record_of(system, bump, 3, samples=3000, held=20)
+    return spiral.discover(record, system, progress=silent, settings={"learned": True})
+
+
+@pytest.mark.slow
+def test_a_parameter_that_follows_a_variable_by_no_known_form_is_told_as_a_curve(bumpy):
+    last, shape = bumpy.rounds[-1].comparison, bumpy.rounds[-2].details["unknown"]
+    assert bumpy.missing == ("learned_change@h-q",)
+    assert shape["sentence"] == "A change of h that follows q: smooth."
+    assert last.test_error < 1.1 * last.noise_floor < 0.3 * bumpy.rounds[0].comparison.test_error
+
+
+@pytest.mark.slow
+def test_the_curve_of_a_parameter_is_its_value_over_its_mean(bumpy):
+    (curve,) = bumpy.rounds[-2].details["unknown"]["curves"]
+    at, told, band, weight = (np.array(curve[k]) for k in ("at", "force", "band", "visited"))
+    true = bump(at) / (weight @ bump(at)) - 1
+    assert np.max(np.abs(told - true)) < 0.03
+    assert 0.003 < np.median(band) < 0.03
+
+
+def test_a_share_of_the_mean_has_the_slopes_of_its_differences():
+    rng = np.random.default_rng(5)
+    factor, weight = rng.uniform(0.5, 2.0, 7), rng.dirichlet(np.ones(7))
+    share, slopes = _share_of_mean(factor, weight)
+    assert abs(weight @ share) < 1e-14
+    np.testing.assert_allclose(_share_of_mean(3 * factor, weight)[0], share, rtol=1e-12)
+    moved = [(_share_of_mean(factor + h, weight)[0] - _share_of_mean(factor - h, weight)[0]) / 2e-6
+             for h in 1e-6 * np.eye(7)]  # fmt: skip
+    np.testing.assert_allclose(slopes, np.transpose(moved), atol=1e-8)
+
+
+def test_a_curve_of_a_parameter_is_one_where_the_variable_is_zero_and_never_negative():
+    effect, rng = LearnedChange(), np.random.default_rng(6)
+    names = [p.name for p in effect.parameters if p.name != "span"]
+    assert len(names) == 20
+    values = SimpleNamespace(span=1.0, **dict(zip(names, rng.normal(size=20), strict=True)))
+    at = SimpleNamespace(position=(np.array([0.0, *rng.normal(size=200)]),))
+    factor = effect.factor(at, None, values)
+    assert abs(factor[0] - 1) < 1e-12
+    assert np.all(factor > 0)
 
 
 def test_a_steady_conductance_varies_with_nothing():

@@ -20,7 +20,12 @@ from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
-from spiral.engine.likelihood.noise import NoiseModel, sensor_autocovariance, state_offsets
+from spiral.engine.likelihood.noise import (
+    NoiseModel,
+    NoiseTerm,
+    sensor_autocovariance,
+    state_offsets,
+)
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.engine.resting import state_jacobian
 from spiral.inference.disturbances import input_sentences
@@ -60,7 +65,6 @@ from spiral.inference.likelihood.free_run_starts import (
 from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.likelihood.initial_states import set_likely_initial_state
 from spiral.inference.likelihood.timescales import time_scale_sentences
-from spiral.inference.nearness import LASTING
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model
@@ -74,6 +78,7 @@ _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 _TOLD = 0.5  # standard error of the logarithm of a size up to which the size is reported
 _TOLD_WITH_TIME = 1.0  # the same beside a correlation time: a slow force has few values in a record
+_LASTING = 0.1  # of a record: longest correlation time of noise with many independent values
 _COUNTS = 0.005  # share from which what acts at random counts
 
 
@@ -114,14 +119,14 @@ def compare_by_likelihood(
         **_note_fields(problem, state, model, fit, free),
         noise_ratio=_declared_noise_ratio(problem.records, state.noise),
         **seen,
-        **_noise_and_residual_fields(assembly, fit, model, carried),
+        **_noise_and_residual_fields(assembly, fit, model, carried, run),
         uncertain=0.0 if other is None else carried.doubts,
         traces=Traces(own.predicted, tested, run.settled[0], innovations(fit)),
     )
 
 
 def _noise_and_residual_fields(
-    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _FreeRunTolerance
+    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _FreeRunTolerance, run: FreeRun
 ) -> dict[str, Any]:
     """Fields of the comparison: noise sizes, residual statistics, departures from the model."""
     sizes, times = reportable_noise(fit.estimate, carried.forces)
@@ -131,6 +136,7 @@ def _noise_and_residual_fields(
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
+        "drifting": _drifting_error(fit.estimate, sizes, run),
         "departures": (
             *describe_departures(model, fit.estimate, white, sizes),
             *far_value_sentences(fit.estimate, assembly.problem.model.given_values),
@@ -284,6 +290,31 @@ def reportable_noise(
     return sizes, times
 
 
+def _slow_noise(noise: NoiseModel, length: float) -> dict[str, NoiseTerm]:
+    """Noise of sensors with few independent values in a record of ``length`` s, by its size."""
+    return {
+        t.size: t for t in noise.terms
+        if t.kind == "drift"
+        or (t.kind in COLOURED and noise.values.get(t.time, 0.0) > _LASTING * length)
+    }  # fmt: skip
+
+
+def _drifting_error(
+    estimate: MaximumLikelihood, shares: Mapping[str, float], run: FreeRun
+) -> float:
+    """Error of the test's free run by slow noise of sensors, rms over channels.
+
+    ``shares`` are of what the sensors show in the fitted record, by name; the test may show less.
+    """
+    task = estimate.prepared[0][0]
+    slow = _slow_noise(estimate.noise, task.series.dt * task.series.samples)
+    channels = task.compiled.traced.channels
+    with np.errstate(divide="ignore", invalid="ignore"):
+        quieter = np.std(task.series.y, axis=0) / run.deviations()
+    told = (v * quieter[channels.index(slow[n].where)] for n, v in shares.items() if n in slow)
+    return float(np.sqrt(sum(v**2 for v in told) / len(channels)))
+
+
 def _slow_noise_excursions(estimate: MaximumLikelihood) -> dict[str, float]:
     """How far slow noise of a sensor moves over the records, by the name of its size.
 
@@ -294,12 +325,7 @@ def _slow_noise_excursions(estimate: MaximumLikelihood) -> dict[str, float]:
     excursions: dict[str, float] = {}
     for task, settings in estimate.prepared:
         noise, length = estimate.noise, task.series.dt * task.series.samples
-        times = {t.size: noise.values[t.time] for t in noise.terms if t.time}
-        slow = {
-            t.size: t.kind for t in noise.terms
-            if t.kind == "drift"
-            or (t.kind in COLOURED and times.get(t.size, 0.0) > LASTING * length)
-        }  # fmt: skip
+        slow = _slow_noise(noise, length)
         if not slow:
             continue
         run = predict_readings(task, settings, noise, keep=True)
@@ -307,7 +333,7 @@ def _slow_noise_excursions(estimate: MaximumLikelihood) -> dict[str, float]:
         for size, place in state_offsets(task, noise).items():
             if size in slow:
                 z = run.means[: run.done, first + place]
-                far = np.abs(z).max(initial=0.0) if slow[size] == "drift" else np.std(z)
+                far = np.abs(z).max(initial=0.0) if slow[size].kind == "drift" else np.std(z)
                 excursions[size] = max(excursions.get(size, 0.0), float(far))
     return excursions
 

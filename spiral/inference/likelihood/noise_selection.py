@@ -365,7 +365,6 @@ def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
         c: max(noise.values[f"white.{c}"], size_limits(task, f"white.{c}")[0], 0.5 * float(m))
         for c, m in zip(channels, missed, strict=True)
     }
-    spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
     if not noise.has_kind("coloured") and not noise.has_kind("band"):
         kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
         for kind, steps in kinds:
@@ -373,16 +372,19 @@ def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
             sizes = {t.size: _SHARED * white[t.where] for t in terms}
             less = {f"white.{c}": _SHARED * white[c] for c in channels}
             yield AdditionalNoise(terms, sizes | less | {f"{kind}.time": steps * dt})
-    for c in channels:
-        term = NoiseTerm("drift", c)
-        if term in noise.terms:
-            continue
-        length = float(np.sqrt(dt * task.series.samples))
-        yield AdditionalNoise((term,), {term.size: 0.1 * float(spread[c]) / length})
+    for term in (NoiseTerm("drift", c) for c in channels):
+        if term not in noise.terms:
+            yield AdditionalNoise((term,), {term.size: initial_drift_size(task, term.where)})
     if not noise.has_kind("gust"):
         terms = tuple(NoiseTerm("gust", g) for g in noise_groups(task))
         for values in initial_gust_sizes(task, terms):
             yield AdditionalNoise(terms, values)
+
+
+def initial_drift_size(task: FilterInput, channel: str) -> float:
+    """A sensor's drift to begin with: over the record a tenth of what it reads."""
+    j, series = task.compiled.traced.channels.index(channel), task.series
+    return 0.1 * float(np.std(series.y[:, j])) / float(np.sqrt(series.dt * series.samples))
 
 
 def initial_gust_sizes(task: FilterInput, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:

@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.filter.task import resting_first_state
-from spiral.engine.likelihood.noise import NoiseModel, first_noise
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, size_limits
 from spiral.engine.likelihood.predict import predict_cases
 from spiral.engine.series import MOST_SUBSTEPS
 from spiral.inference.evidence.assembly import Assembly
@@ -35,9 +35,11 @@ from spiral.inference.likelihood.fitting import (
     LEVEL,
     WORTH,
     LikelihoodFit,
+    continue_fit,
     fit_by_likelihood,
     free_parameters,
     has_noiseless_sensor,
+    is_acting,
     is_random_force_small,
     is_white,
     prepare_filter_tasks,
@@ -46,8 +48,12 @@ from spiral.inference.likelihood.fitting import (
     schwarz_penalty,
 )
 from spiral.inference.likelihood.initial_states import refit_initial_states
-from spiral.inference.likelihood.noise_selection import drop_needless_noise, select_noise_model
-from spiral.inference.problem import Progress
+from spiral.inference.likelihood.noise_selection import (
+    drop_needless_noise,
+    initial_drift_size,
+    select_noise_model,
+)
+from spiral.inference.problem import DECISIVE_ODDS, Progress
 
 _HEAT = 8  # scoring steps of each start
 _SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
@@ -149,6 +155,36 @@ def restart_from_sensor_noise(
     fewer = len(fit.estimate.noise.names) - len(again.estimate.noise.names)
     gain = again.log_likelihood - fit.log_likelihood
     return again if gain + schwarz_penalty(max(fewer, 0), fit.estimate.prepared) > 0 else fit
+
+
+def restart_from_sensor_drift(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """The fit with a sensor that drifts in place of all random forces, if that is likelier.
+
+    A slow state that is pushed at random and a sensor of it that drifts both wander. Beside either
+    the misses are white, and values that were fitted beside the one do not suit the other, so that
+    they are fitted with it. Taken by the odds of any other noise.
+    """
+    at = fit.estimate
+    task, noise = at.prepared[0][0], at.noise
+    forces = [t for t in noise.terms if t.kind in ("force", "gust")]
+    if not any(is_acting(task, noise, t) for t in forces) or not is_white(assembly, fit):
+        return fit
+    least = {t.size: size_limits(task, t.size)[0] for t in forces if t.kind == "force"}
+    still = noise.select_terms(t for t in noise.terms if t.kind != "gust").with_values(least)
+    penalty = schwarz_penalty(len(still.names) + 1 - len(noise.names) - len(least), at.prepared)
+    enough = fit.log_likelihood + penalty + float(np.log(DECISIVE_ODDS))
+    best = fit
+    for term in (NoiseTerm("drift", c) for c in task.compiled.traced.channels):
+        if term in noise.terms:
+            continue
+        progress(f"trying a drift of sensor {term.where} in place of random forces")
+        wandering = still.with_terms((term,), {term.size: initial_drift_size(task, term.where)})
+        again = continue_fit(assembly, fit, wandering, rough=True, least=enough)
+        if again.log_likelihood > max(enough, best.log_likelihood) and is_white(assembly, again):
+            best = again
+    return best
 
 
 def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:

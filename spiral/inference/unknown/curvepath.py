@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -13,13 +14,26 @@ from spiral.engine.growth import Stage
 from spiral.engine.sensitivities import run_windows
 from spiral.inference.evidence.assembly import Assembly, effects_of
 from spiral.inference.evidence.scales import port_motion_expressions
-from spiral.physics.learned import Learned, LearnedFlow, LearnedStateFlow
-from spiral.types.effect import Effect, FlowEffect, ForceEffect, StateFlow, values_for
+from spiral.physics.learned import (
+    Learned,
+    LearnedFlow,
+    LearnedForce,
+    LearnedParameterChange,
+    LearnedStateFlow,
+)
+from spiral.types.effect import (
+    Effect,
+    FlowEffect,
+    ForceEffect,
+    ParameterEffect,
+    StateFlow,
+    values_for,
+)
 from spiral.types.label import owner_of
 from spiral.types.port import At
 from spiral.types.record import Array
 
-_STEP = 1e-4
+_STEP, _SMALL = 1e-4, 1e-6
 
 
 @dataclass(frozen=True)
@@ -46,9 +60,19 @@ def window_states(assembly: Assembly, stage: Stage) -> Array:
     return np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts])
 
 
-def courses(assembly: Assembly, states: Array, learned: Learned) -> tuple[CurveAxis, ...]:
-    """The curves of an effect with the values of what they follow; ``states`` (samples, all)."""
+def courses(
+    assembly: Assembly, states: Array, learned: Learned, inputs: Mapping[str, Array]
+) -> tuple[CurveAxis, ...]:
+    """The curves of an effect with the values of what they follow.
+
+    ``states`` (samples, all) and ``inputs`` (samples,), time among them, along the records.
+    """
     traced, system = assembly.study.compiled.traced, assembly.problem.model.system
+    if isinstance(learned, LearnedParameterChange):
+        port = system.place(learned)
+        own = port.against in traced.states
+        seen = states[:, traced.states.index(port.against)] if own else inputs[port.against]
+        return (CurveAxis(0, port.axes[0], port.against, seen, 0.0),)
     if isinstance(learned, LearnedStateFlow):
         axes = system.place(learned).axes
         levels = [states[:, traced.states.index(name)] for name in axes]
@@ -74,7 +98,7 @@ def courses(assembly: Assembly, states: Array, learned: Learned) -> tuple[CurveA
 
 @dataclass(frozen=True)
 class StatePath:
-    """A state that takes the values ``at``, all others at rest.
+    """A state, or an input or time, that takes the values ``at``, all others at rest.
 
     Of a curve that is multiplied by a velocity it is the part of the force that turns with the
     velocity's sign, at its rms value.
@@ -86,7 +110,7 @@ class StatePath:
     at: Array
 
     def force(self, row: Array, labels: list[str]) -> Array:
-        """(points,) the force or flow of some effects along the path."""
+        """(points,) the force or flow of some effects along the path, or a factor less one."""
         if not self.learned.times:
             return self._total_force(row, labels, 0.0)
         speed = self.course.typical
@@ -100,7 +124,8 @@ class StatePath:
             return np.zeros(len(self.at))
         step = _STEP * max(abs(row[index]), 1e-12)
         if self.assembly.study.compiled.traced.parameters[index].role == "amplitude":
-            step = 1.0  # linear: exact for any step
+            linear = not isinstance(self.learned, LearnedParameterChange)  # rounded above zero
+            step = 1.0 if linear else _SMALL  # exact for any step, or far below the rounding
         ahead, back = row.copy(), row.copy()
         ahead[index] += step
         back[index] -= step
@@ -133,10 +158,13 @@ class StatePath:
             x = SimpleNamespace(**{s.name: still for s in system.states})
             setattr(x, self.learned.state, self.at)
             return effect.flow(x, SimpleNamespace(), p).get(self.learned.into, 0.0)
+        if isinstance(effect, ParameterEffect):
+            at = At((self.at,), (), SimpleNamespace())
+            return effect.factor(at, SimpleNamespace(), p) - 1.0
         if isinstance(effect, StateFlow):
             levels = (self.at, *[still] * (len(system.place(effect).axes) - 1))
             return effect.flow(At(levels, (), SimpleNamespace()), SimpleNamespace(), p)[0]
-        if not isinstance(effect, ForceEffect):
+        if not (isinstance(effect, ForceEffect) and isinstance(self.learned, LearnedForce)):
             return 0.0
         axes = system.place(self.learned).axes
         q, v = [still] * len(axes), [still] * len(axes)
@@ -149,6 +177,6 @@ class StatePath:
 
 
 def _effect_kind(effect: Effect) -> type:
-    """The class that an effect counts as: a force, a flow between channels or into a state."""
-    kinds = (ForceEffect, FlowEffect, StateFlow)
+    """The class that an effect counts as: a force, a flow, a change of a parameter."""
+    kinds = (ForceEffect, FlowEffect, StateFlow, ParameterEffect)
     return next((k for k in kinds if isinstance(effect, k)), type(effect))

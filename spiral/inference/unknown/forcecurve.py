@@ -2,7 +2,8 @@
 
 A force is known up to what the seed's own effects can take over (a linear spring hides any linear
 part), so the curve of all that a study has added to its seed is what is left of it beside them, by
-least squares weighted by how often each value was visited.
+least squares weighted by how often each value was visited. A change of a parameter is known up to
+that parameter's own value: the curve is its share of its mean over what was visited.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from spiral.inference.evidence.assembly import Assembly, columns_with_bounds
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import Masks
 from spiral.inference.unknown.curvepath import CurveAxis, StatePath, courses, window_states
-from spiral.physics.learned import Learned, LearnedForce, spacing
+from spiral.physics.learned import Learned, LearnedForce, LearnedParameterChange, spacing
 from spiral.types.label import owner_of
+from spiral.types.port import Port
 from spiral.types.record import Array
 from spiral.types.run import Suggestion
 
@@ -107,7 +109,7 @@ class CurveFit:
     added : compiled labels of what the study has added to its seed, the learned effect among them.
     row : values of one record in the order of the study's parameters.
     moving : places in it of what the fit moved, with their ``covariance``.
-    states : (samples, all states) along the records.
+    states : (samples, all states) along the records; ``inputs`` (samples,) by name, and time.
     """
 
     assembly: Assembly
@@ -117,6 +119,7 @@ class CurveFit:
     moving: tuple[int, ...]
     covariance: Array
     states: Array
+    inputs: Mapping[str, Array] = field(default_factory=dict)
 
 
 def curve_fit_on_windows(assembly: Assembly, admitted: AdmittedEffect, mask: Masks) -> CurveFit:
@@ -137,7 +140,7 @@ def describe_curve(fit: CurveFit, label: str, suggestions: Sequence[Suggestion])
     """The shape of a learned effect, called ``label``, that comes first among ``suggestions``."""
     learned = fit.learned
     port = fit.assembly.problem.model.system.place(learned)
-    visited = courses(fit.assembly, fit.states, learned)
+    visited = courses(fit.assembly, fit.states, learned, fit.inputs)
     curves = tuple(_curve_with_band(fit, course) for course in visited)
     best = next(s for s in suggestions if s.effect == label)
     rate = isinstance(learned, LearnedForce) and learned.follows == "velocity"
@@ -154,11 +157,13 @@ def describe_curve(fit: CurveFit, label: str, suggestions: Sequence[Suggestion])
         p_value=best.p_value,
         curves=curves,
         others={s.effect: s.explains for s in suggestions if s is not best},
-        quantity=_quantity_word(learned),
+        quantity=_quantity_word(learned, port),
     )
 
 
-def _quantity_word(learned: Learned) -> str:
+def _quantity_word(learned: Learned, port: Port) -> str:
+    if isinstance(learned, LearnedParameterChange):
+        return f"change of {port.axes[0]}"
     if not isinstance(learned, LearnedForce):
         return "flow"
     return "radial force" if learned.follows == "radius" else "force"
@@ -176,19 +181,30 @@ def _curve_with_band(fit: CurveFit, course: CurveAxis) -> Curve:
     slopes = np.array([path.slope(row, added, i) for i in fit.moving]).T
     seeds = [i for i, k in enumerate(assembly.study.keys) if owner_of(k) in seed]
     basis = np.array([path.slope(row, seed, i) for i in seeds]).T
-    left = residual_projection(basis, visited)
+    force = path.force(row, added)
+    if isinstance(fit.learned, LearnedParameterChange):
+        force, left = _share_of_mean(1.0 + force, visited)
+    else:
+        left = residual_projection(basis, visited)
+        force = left @ force
     spread = left @ slopes @ fit.covariance @ slopes.T @ left.T
     se = np.sqrt(np.maximum(np.diag(spread), 0.0))
     return Curve(
         axis=course.axis,
         state=course.state,
         at=at,
-        force=left @ path.force(row, added),
+        force=force,
         se=se,
         band=_critical_value(spread, se) * se,
         visited=visited,
         speed=course.typical if fit.learned.times else 0.0,
     )
+
+
+def _share_of_mean(factor: Array, weight: Array) -> tuple[Array, Array]:
+    """r = f / m - 1 with m = w f, and (points, points) dr/df: the same for every scale of f."""
+    mean = float(weight @ factor)
+    return factor / mean - 1.0, np.eye(len(factor)) / mean - np.outer(factor, weight) / mean**2
 
 
 def residual_projection(basis: Array, weight: Array) -> Array:

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 def force_curves(result: Mapping[str, Any]) -> go.Figure | None:
-    """Force against state with its simultaneous 95 % band, one panel for each axis."""
+    """What is missing over what it follows, with its simultaneous 95 % band; a panel an axis."""
     shape = result.get("unknown")
     if not shape:
         return None
     panels = shape["curves"]
-    what = "flow" if str(shape.get("sentence")).startswith("A flow") else "force"
+    what = str(shape.get("quantity", "force"))
     figure = blank_figure(1, len(panels), 430, horizontal_spacing=0.12)
     wide, state_unit = scale_to_prefix(shape["state_unit"], *(np.array(c["at"]) for c in panels))
     high, force_unit = scale_to_prefix(shape["force_unit"], *(np.array(c["force"]) for c in panels))

@@ -31,13 +31,16 @@ def print_unknown_shape(console: Console, shape: Mapping[str, Any] | None) -> No
     share = f"{100 * shape['explains']:.0f} % of what was left"
     console.print(Text(f"{shape['sentence']} It explains {share}."))
     for curve in shape["curves"]:
-        console.print(_curve_table(curve, shape["state_unit"], shape["force_unit"]))
+        console.print(_curve_table(curve, shape))
 
 
-def _curve_table(curve: Mapping[str, Any], state_unit: str, force_unit: str) -> Table:
+def _curve_table(curve: Mapping[str, Any], shape: Mapping[str, Any]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    table.add_column(f"{curve['state']} ({state_unit})", justify="right")
-    table.add_column(f"force ({force_unit})", justify="right")
+    for name, unit in (
+        (curve["state"], shape["state_unit"]),
+        (shape.get("quantity", "force"), shape["force_unit"] or "share"),
+    ):
+        table.add_column(f"{name} ({unit})", justify="right")
     table.add_column("95 % band", justify="right")
     last = len(curve["at"]) - 1
     for i in (round(last * k / (_ROWS - 1)) for k in range(_ROWS)):

@@ -58,6 +58,7 @@ from spiral.inference.likelihood.seed_fit import (
     refine_integration_steps,
     refit_on_finer_steps,
     restart_from_given_values,
+    restart_from_sensor_drift,
     restart_from_sensor_noise,
 )
 from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
@@ -305,8 +306,8 @@ def _drop_unused_variants(own: Assembly, state: FitState) -> tuple[Assembly, Fit
 def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> LikelihoodFit:
     """The fit with the noise model that its records prefer.
 
-    It is taken to its very maximum where its misses are white: then the model may be the last. Its
-    integration steps are refined there, but where a force above ``settings.random_limit`` acts.
+    Where its misses are white it is taken to its very maximum, since the model may be the last, and
+    its integration steps are refined, but where a force above ``settings.random_limit`` acts.
     """
     fit = select_noise_model(assembly, fit, progress)
     fit = restart_from_given_values(assembly, fit, progress)
@@ -315,11 +316,11 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
     if not fit.estimate.finite or innovation_whiteness(assembly, fit).p < _LAST:
         return fit
     progress("polishing the fit")
-    fit = continue_fit(assembly, drop_needless_forces(assembly, fit))
+    fit = drop_needless_forces(assembly, fit)
+    fit = continue_fit(assembly, restart_from_sensor_drift(assembly, fit, progress))
     limit = assembly.problem.settings.random_limit
-    if assembly.problem.candidates and largest_force(fit.estimate.noise) > limit:
-        return fit  # a model that lacks much is no answer: its values are not worth finer steps
-    return refine_integration_steps(assembly, fit)
+    lacks = bool(assembly.problem.candidates) and largest_force(fit.estimate.noise) > limit
+    return fit if lacks else refine_integration_steps(assembly, fit)  # it is no answer
 
 
 def _unconfirmed_reason(

@@ -49,6 +49,7 @@ from spiral.inference.strategies.likelihood.admission import (
 from spiral.inference.strategies.likelihood.laws import (
     fit_without,
     full_log_likelihood,
+    promising_changes,
     stand_in_labels,
     undetermined_among,
 )
@@ -57,6 +58,7 @@ from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curv
 from spiral.physics.learned import LEVELS, Learned
 from spiral.types.record import Array
 from spiral.types.run import Comparison
+from spiral.types.system import TIME
 
 _MOST = 3  # curves refitted from one model
 _UNSEEN = 1e-3  # share of its own slope by which a coefficient is held where others can do its work
@@ -89,7 +91,7 @@ def find_missing_curve(
     """
     progress("trying curves over each state")
     helps = benefit_objection(options, comparison, assembly.problem.settings)
-    assembly = offer_effects(assembly, assembly.problem.dictionary)
+    assembly = _offer_curves(assembly, base, masks[0])
     alone = _fit_seed_alone(assembly, base.state, masks[0])
     passing = (
         None
@@ -143,7 +145,7 @@ def find_equal_curve(
     numbers = len(base.estimate.keys) - len(start.estimate.keys)
     price = schwarz_penalty(numbers, start.estimate.prepared)
     least = full_log_likelihood(assembly, state) - price
-    assembly = offer_effects(assembly, assembly.problem.dictionary)
+    assembly = _offer_curves(assembly, start, masks[0])
 
     def objection(whole: WholeRecordFit) -> Refusal | None:
         told = replace(whole.refitted.comparison, converged=True)  # no knot has to be determined
@@ -154,6 +156,12 @@ def find_equal_curve(
     if passing is None:
         return None
     return replace(_missing_curve(passing, progress), replaces=replaces, undetermined=unsure)
+
+
+def _offer_curves(assembly: Assembly, base: LikelihoodFit, select: Masks) -> Assembly:
+    """The study with all curves offered, those of parameters at the places that score best."""
+    changes = (e for e in promising_changes(assembly, base, select) if e.bare)
+    return offer_effects(assembly, (*assembly.problem.dictionary, *changes))
 
 
 def _missing_curve(
@@ -248,7 +256,10 @@ def _knot_levels(assembly: Assembly, variant: Variant) -> dict[str, int]:
 
 
 def _refine_knots(whole: WholeRecordFit, label: str, progress: Progress) -> WholeRecordFit:
-    """The model with its curve on more knots, while these are worth their penalty."""
+    """The model with its curve on more knots, where these are worth their penalty.
+
+    All are tried: a bump between coarse knots is none of the curves on a few more.
+    """
     levels = _knot_levels(whole.assembly, whole.assembly.variant(label))
     best = whole.fit
     for most in range(1 + max(levels.values())):
@@ -258,11 +269,9 @@ def _refine_knots(whole: WholeRecordFit, label: str, progress: Progress) -> Whol
         progress("trying the curve on more knots")
         held = tuple(k for k in best.state.held if k not in more)
         again = fit_by_likelihood(whole.assembly, replace(best.state, held=held), rough=True)
-        if again.log_likelihood - best.log_likelihood <= schwarz_penalty(
-            len(more), best.estimate.prepared
-        ):
-            break
-        best = again
+        price = schwarz_penalty(len(more), best.estimate.prepared)
+        if again.log_likelihood > best.log_likelihood + price:
+            best = again
     if best is whole.fit:
         return whole
     return compare_whole_record_fit(whole.assembly, best, whole.refitted.retired, progress)
@@ -275,10 +284,15 @@ def _as_curve_fit(whole: WholeRecordFit, label: str) -> CurveFit:
     assert isinstance(learned, Learned)
     state = whole.fit.state
     runs = predict_cases([(at.prepared, at.noise)], at.keys, keep=True)[0]
+    records = [(task.series.record, p.done) for (task, _), p in zip(at.prepared, runs, strict=True)]
+    names = [i.name for i in own.problem.model.system.inputs]
+    names = [n for n in names if all(n in r.inputs for r, _ in records)]
+    followed = {n: np.concatenate([r.inputs[n][:done] for r, done in records]) for n in names}
+    followed[TIME] = np.concatenate([r.dt * np.arange(done) for r, done in records])
     return CurveFit(
         own, learned, _added_labels(own, state), state.values[0],
         tuple(own.study.index(k) for k in at.keys), _covariance(runs),
-        np.concatenate([p.means[: p.done, :count] for p in runs]),
+        np.concatenate([p.means[: p.done, :count] for p in runs]), followed,
     )  # fmt: skip
 
 

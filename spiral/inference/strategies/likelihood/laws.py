@@ -111,8 +111,8 @@ def find_named_law(
     whole = moved or not white or not gone
     for start in _law_starts(assembly, state, base, gone, whole, masks[0], progress):
         progress("trying laws with a closed form")
-        changes = _promising_changes(assembly, start.base, masks[0])
-        offered = offer_effects(assembly, (*laws, *changes))
+        changes = promising_changes(assembly, start.base, masks[0])
+        offered = offer_effects(assembly, (*laws, *(e for e in changes if not e.bare)))
         law = _find_law_from(options, offered, start, comparison, masks, level, progress)
         if law is not None:
             return law
@@ -128,16 +128,14 @@ def _is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:
     return bool(random_forces(comparison)) and comparison.test_error**2 > noise
 
 
-def _promising_changes(
-    assembly: Assembly, base: LikelihoodFit, select: Masks
-) -> tuple[Effect, ...]:
+def promising_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> tuple[Effect, ...]:
     """Changes of parameters with variables, of every form, where the plain forms score best.
 
     Plain forms have no shapes to be searched: a line, a parabola, a power and an exponential show
-    what any smooth change would.
+    what any smooth change would. A curve (``bare``) is one of the forms, and no plain one.
     """
     changes = assembly.problem.changes()
-    plain = tuple(e for e in changes if all(len(p.grid) <= 1 for p in e.parameters))
+    plain = tuple(e for e in changes if not e.bare and all(len(p.grid) <= 1 for p in e.parameters))
     offered = offer_effects(assembly, plain)
     ranked = rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
     if ranked is None:
