@@ -63,6 +63,8 @@ def random_sentence(comparison: Comparison) -> str:
         much = comparison.disturbed >= 1.0
         share = "all" if much else percent(comparison.disturbed)
         said.append(f"random {acting}s move a free run by {share} of the motion")
+    if comparison.drifting > comparison.noise_floor:
+        said.append("a free run errs by what a sensor drifts, also that of a right model")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
 

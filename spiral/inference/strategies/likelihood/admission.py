@@ -394,8 +394,8 @@ def _reduction_size(before: float, after: float) -> float:
 def _force_replacement_size(before: Comparison, after: Comparison) -> float:
     """How far an effect replaces random forces that moved the free runs.
 
-    The force, the free run of the fitted and that of the test records must all shrink; the least of
-    the three counts. An effect with states of its own is a force with a memory itself: none.
+    The force and the free runs of fitted and test records must all shrink; the least counts. An
+    effect with states of its own is a force with a memory itself: none.
     """
     forces = [max(random_forces(c).values(), default=0.0) for c in (before, after)]
     new = [e for e in after.model.effects if e.label not in before.model.labels]
