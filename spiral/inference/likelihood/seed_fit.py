@@ -164,7 +164,8 @@ def restart_from_sensor_drift(
 
     A slow state that is pushed at random and a sensor of it that drifts both wander. Beside either
     the misses are white, and values that were fitted beside the one do not suit the other, so that
-    they are fitted with it. Taken by the odds of any other noise.
+    they are fitted with it. It has to be likelier by the odds of any other noise, and fewer sizes
+    are no merit: beside a missing effect forces leave more room for it than a drift does.
     """
     at = fit.estimate
     task, noise = at.prepared[0][0], at.noise
@@ -173,8 +174,7 @@ def restart_from_sensor_drift(
         return fit
     least = {t.size: size_limits(task, t.size)[0] for t in forces if t.kind == "force"}
     still = noise.select_terms(t for t in noise.terms if t.kind != "gust").with_values(least)
-    penalty = schwarz_penalty(len(still.names) + 1 - len(noise.names) - len(least), at.prepared)
-    enough = fit.log_likelihood + penalty + float(np.log(DECISIVE_ODDS))
+    enough = fit.log_likelihood + float(np.log(DECISIVE_ODDS))
     best = fit
     for term in (NoiseTerm("drift", c) for c in task.compiled.traced.channels):
         if term in noise.terms:
