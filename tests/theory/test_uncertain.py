@@ -5,6 +5,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 import pytest
+from spiral_plugins.effects.dissipative import CoulombFriction
 from spiral_plugins.effects.restoring import ConstantLoad
 from spiral_plugins.observers.kalman import Ekf, Rts
 from spiral_plugins.observers.static import Static
@@ -15,9 +16,11 @@ from spiral.engine.filter.curved_posterior import build_expansion, draw_samples
 from spiral.engine.filter.prior import Prior, covariance_root
 from spiral.engine.filter.rounding import rounding_level
 from spiral.engine.filter.task import prepare_task
+from spiral.engine.likelihood.free_uncertainty import _covariance_root
 from spiral.inference.reconstruction.estimate import BAND, estimate
 from spiral.inference.reconstruction.uncertain import declared_prior, pattern_names
 from spiral.inference.simulate import simulate
+from spiral.inference.strategies.likelihood.superfluous import _is_shown_far_from_zero
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
 
@@ -193,3 +196,21 @@ def test_patterns_name_places():
         "linear_stiffness@bearing_1.stiffness_x", "linear_stiffness@bearing_2.stiffness_x"
     ]  # fmt: skip
     assert named("system.mass") == ["system.mass"]
+
+
+def test_a_value_of_which_nothing_is_known_has_a_finite_root():
+    """A variance that overflows: of a value that no reading tells."""
+    covariance = np.diag([4.0, np.inf, 9.0])
+    covariance[0, 2] = covariance[2, 0] = 1.0
+    root = _covariance_root(covariance)
+    assert np.all(np.isfinite(root))
+    np.testing.assert_allclose((root @ root.T)[::2, ::2], covariance[::2, ::2], rtol=1e-12)
+    assert (root @ root.T)[1, 1] > 1e90
+
+
+@pytest.mark.parametrize(("error", "far"), [(0.01, True), (26.0, False)])
+def test_an_effect_is_far_from_zero_by_the_errors_that_are_shown(error, far):
+    label = "coulomb_friction"
+    found = seed_model(Oscillator()).add(CoulombFriction(), {f"{label}.level": 1.0})
+    shown = replace(found, errors={f"{label}.level": error})
+    assert _is_shown_far_from_zero(shown, label, 3.0) is far

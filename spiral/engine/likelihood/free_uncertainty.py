@@ -30,6 +30,7 @@ from spiral.engine.likelihood.predict import predict_readings
 from spiral.types.record import Array
 
 _MOST = 1e9  # deviations of the noise by which a doubt is seen to move a reading
+_UNTOLD = 1e100  # variance of a value of which nothing is known
 _SMALL = 1e-5  # share of a state's first doubt by which its start is moved
 
 
@@ -99,6 +100,12 @@ def doubt_along_readings(
 
 
 def _covariance_root(covariance: Array) -> Array:
-    """L of V = L L^T."""
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    """L of V = D C D = L L^T, by the eigenvalues of C.
+
+    A variance that overflows, of a value that no reading tells, is very large, and goes with none.
+    """
+    known = np.isfinite(covariance)
+    bounded = np.where(known, covariance, _UNTOLD * np.eye(len(covariance)))
+    sizes = np.sqrt(np.maximum(np.diag(bounded), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(bounded / np.outer(sizes, sizes))
+    return sizes[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

@@ -97,7 +97,7 @@ def compare_likelihood_fit(
     fit = replace(fit, estimate=add_standard_errors(fit.estimate))
     state, comparison = compare_by_likelihood(assembly, fit, progress, halves_agree)
     details: dict[str, Any] = {"noise": dict(fit.estimate.noise.values)}
-    if told := likelihood_ratio_t(assembly, fit):
+    if told := likelihood_ratio_t(assembly, fit, comparison.model):
         details[LIKELIHOOD_RATIO_T] = told
     likelihood = -np.inf
     if fit.estimate.finite:

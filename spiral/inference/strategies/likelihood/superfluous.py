@@ -13,7 +13,8 @@ from spiral.inference.likelihood.initial_states import refit_initial_states
 from spiral.inference.likelihood.interpolation import fit_with_other_interpolations
 from spiral.inference.problem import Progress
 from spiral.types.effect import InputEffect, SensorEffect
-from spiral.types.label import owner_of
+from spiral.types.label import owner_of, parameter_of
+from spiral.types.model import Model
 
 
 def drop_superfluous_effects(
@@ -84,21 +85,32 @@ def _is_far_from_zero(assembly: Assembly, fit: LikelihoodFit, keys: tuple[str, .
     return any(abs(values.get(k, 0.0)) > least * errors.get(k, np.inf) for k in keys)
 
 
-def likelihood_ratio_t(assembly: Assembly, fit: LikelihoodFit) -> dict[str, float]:
+def _is_shown_far_from_zero(shown: Model, label: str, least: float) -> bool:
+    """Whether an amplitude of an effect is so in the model that is shown."""
+    known = shown.estimates().get(label, {})
+    sizes = [known[parameter_of(k)].t for k in shown.amplitudes(label)]
+    return any(t is not None and abs(t) > least for t in sizes)
+
+
+def likelihood_ratio_t(assembly: Assembly, fit: LikelihoodFit, shown: Model) -> dict[str, float]:
     """Distance from zero, by the likelihood ratio, of effects with small |t|, by label.
 
-    The slope at an amplitude's estimate says nothing of zero where the effect saturates, or where
-    a shape makes up for the amplitude. The ratio is given in standard errors of one estimate: z
-    with P(|x| > z) that of a chi-squared 2 (log L_1 - log L_0).
+    A |t| is small by the errors of the fit, or of the model that is ``shown``, whose values may be
+    those of free runs, which tell less of an effect that acts now and then. The slope at an
+    amplitude's estimate says nothing of zero where the effect saturates, or where a shape makes up
+    for the amplitude. The ratio is given in standard errors of one estimate: z with P(|x| > z) that
+    of a chi-squared 2 (log L_1 - log L_0).
     """
     told: dict[str, float] = {}
     for variant in admitted_variants(assembly, fit) if fit.estimate.finite else ():
-        if _is_far_from_zero(assembly, fit, amplitude_keys(assembly, variant)):
+        label, least = variant.original.label, assembly.problem.settings.least_t
+        far = _is_far_from_zero(assembly, fit, amplitude_keys(assembly, variant))
+        if far and _is_shown_far_from_zero(shown, label, least):
             continue
         without = _refit_without(assembly, fit, variant, rough=True)
         free = [k for k in fit.estimate.keys if owner_of(k) == variant.label]
         gain = max(fit.log_likelihood - without.log_likelihood, 0.0)
-        told[variant.original.label] = _equivalent_t(2 * gain, len(free))
+        told[label] = _equivalent_t(2 * gain, len(free))
     return told
 
 
