@@ -47,7 +47,8 @@ class CandidateList:
 
     ``ask`` runs what a click asks for and shows a refusal; ``again`` draws the list anew.
     ``every``: all candidates are shown; ``typed`` and ``wrong``: what is in the fields of an own
-    effect, and the error in it; ``why``: the figures that are open.
+    effect, and the error in it; ``why``: the figures that are open; ``lengths``: what is typed in
+    the field for lengths of tests, by those that were tried.
     """
 
     session: Session
@@ -58,6 +59,7 @@ class CandidateList:
     typed: dict[str, str] = field(default_factory=dict)
     wrong: Mapping[str, str] | None = None
     why: set[tuple[int, str, str]] = field(default_factory=set)
+    lengths: dict[str, str] = field(default_factory=dict)
 
     def build(self, scene: LiveStudy) -> None:
         """Draw the list of the turn that is looked at."""
@@ -281,8 +283,11 @@ class CandidateList:
         """A field for other lengths of the tests, where none of those tried suffices."""
         tried = ", ".join(number(seconds) for seconds in scene.plan["tried"])
         with ui.row().classes("items-center no-wrap gap-2").style("margin:6px 0"):
-            box = ui.input("Lengths to try, s", placeholder=tried).props("outlined dense")
-            box.style("flex:1 1 auto")
+            box = ui.input(
+                "Lengths to try, s", placeholder=tried, value=self.lengths.get(tried, ""),
+                on_change=lambda e: self.lengths.update({tried: e.value or ""}),
+            )  # fmt: skip
+            box.props("outlined dense").style("flex:1 1 auto")
 
             def plan_again() -> None:
                 self.session.plan(self.ident, effects, turn.serial, box.value or "")

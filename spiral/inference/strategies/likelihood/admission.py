@@ -272,8 +272,7 @@ def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
             if parameter.at_bound(value):
                 return Refusal(f"its {name} runs to the end of its range, {number(value)}")
             if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name) or np.inf):
-                far = f"its {name} goes to {number(value)}, far beyond the motion in these records"
-                return Refusal(far)
+                return Refusal(f"its {name} goes to {number(value)}, far beyond the motion")
     if has_still_state(whole.fit, variant.label):
         return Refusal(_STILL_STATE)
     known = model.estimates().get(rival.label, {}).items()

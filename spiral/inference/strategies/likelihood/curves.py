@@ -55,7 +55,7 @@ from spiral.inference.strategies.likelihood.laws import (
 )
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
-from spiral.physics.learned import LEVELS, Learned
+from spiral.physics.learned import LEVELS, Learned, LearnedParameterChange
 from spiral.types.record import Array
 from spiral.types.run import Comparison
 from spiral.types.system import TIME
@@ -145,7 +145,7 @@ def find_equal_curve(
     numbers = len(base.estimate.keys) - len(start.estimate.keys)
     price = schwarz_penalty(numbers, start.estimate.prepared)
     least = full_log_likelihood(assembly, state) - price
-    assembly = _offer_curves(assembly, start, masks[0])
+    assembly = offer_effects(assembly, assembly.problem.dictionary)
 
     def objection(whole: WholeRecordFit) -> Refusal | None:
         told = replace(whole.refitted.comparison, converged=True)  # no knot has to be determined
@@ -179,17 +179,28 @@ def _find_passing_curve(
     options: LikelihoodOptions, assembly: Assembly, start: LikelihoodFit,
     masks: tuple[Masks, Masks], level: float, objection: Objection, progress: Progress,
 ) -> tuple[AcceptedCandidate, tuple[Race, Ranking]] | None:  # fmt: skip
-    """The curve that comes first beside a model and passes, with its race."""
+    """The curve that comes first beside a model and passes, with its race.
+
+    In place of a change of a parameter a force or a flow that is not told from it.
+    """
     parts = functools.partial(_coefficient_columns, assembly)
     if not start.estimate.finite:
         return None
     contest = race_offered(assembly, start, masks[0], progress, _MOST, parts)
     if contest is None:
         return None
-    outcome = first_to_pass(
+    passed = first_to_pass(
         options, assembly, start, contest[0], masks[1], level, objection, progress
-    )
-    return None if outcome.passed is None else (outcome.passed, contest)
+    ).passed
+    if passed is None:
+        return None
+    plain = tuple(e for e in assembly.problem.dictionary if e.label in passed.aliases)
+    if plain and isinstance(passed.rival.ranked.variant.effect, LearnedParameterChange):
+        alone = offer_effects(assembly, plain)
+        other = _find_passing_curve(options, alone, start, masks, level, objection, progress)
+        if other is not None:  # a spring's stiffness that follows its own length is a force
+            return other
+    return passed, contest
 
 
 def _is_more_likely(
