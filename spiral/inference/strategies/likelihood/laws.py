@@ -293,9 +293,15 @@ def _explains_all(
     options: LikelihoodOptions, assembly: Assembly, start: _LawStart, refitted: RefittedModel,
     comparison: Comparison,
 ) -> bool:  # fmt: skip
-    """Whether a law leaves only noise and is likelier, penalty included, than what it replaces."""
-    settings = assembly.problem.settings
-    if not is_near_noise(refitted.comparison, settings):
+    """Whether a law leaves only noise and is likelier, penalty included, than what it replaces.
+
+    One of whose values the record tells none only describes that something is needed at its place.
+    """
+    settings, model = assembly.problem.settings, refitted.comparison.model
+    new = tuple(x for x in model.labels if x not in comparison.model.labels)
+    if not is_near_noise(refitted.comparison, settings) or undetermined_effects(
+        model, new, settings
+    ):
         return False
     if not start.gone:
         return refuse_unhelpful(options, comparison, refitted.comparison, settings) is None
