@@ -16,7 +16,7 @@ from spiral.engine.filter.curved_posterior import build_expansion, draw_samples
 from spiral.engine.filter.prior import Prior, covariance_root
 from spiral.engine.filter.rounding import rounding_level
 from spiral.engine.filter.task import prepare_task
-from spiral.engine.likelihood.free_uncertainty import _covariance_root
+from spiral.engine.likelihood.free_uncertainty import _bounded_root
 from spiral.inference.reconstruction.estimate import BAND, estimate
 from spiral.inference.reconstruction.uncertain import declared_prior, pattern_names
 from spiral.inference.simulate import simulate
@@ -202,7 +202,7 @@ def test_a_value_of_which_nothing_is_known_has_a_finite_root():
     """A variance that overflows: of a value that no reading tells."""
     covariance = np.diag([4.0, np.inf, 9.0])
     covariance[0, 2] = covariance[2, 0] = 1.0
-    root = _covariance_root(covariance)
+    root = _bounded_root(covariance)
     assert np.all(np.isfinite(root))
     np.testing.assert_allclose((root @ root.T)[::2, ::2], covariance[::2, ::2], rtol=1e-12)
     assert (root @ root.T)[1, 1] > 1e90

@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.filter.extended import FilterSettings
+from spiral.engine.filter.prior import covariance_root
 from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, first_noise
@@ -61,7 +62,7 @@ def free_doubt(
         base, slopes = misses(start, keys)
         moved = [misses(start + step)[0] - base for step in np.diag(spreads)]
         by_start = np.stack(moved, axis=2) / _SMALL
-        by_values = -slopes @ _covariance_root(covariance)
+        by_values = -slopes @ _bounded_root(covariance)
         scaled = np.concatenate([by_start, by_values], axis=2)  # for doubts of one
         white = np.array([noise.values[f"white.{c}"] for c in task.compiled.traced.channels])
         head = (scaled[:settled] / white[:, None]).reshape(-1, scaled.shape[2])
@@ -88,8 +89,8 @@ def doubt_along_readings(
     doubt = np.broadcast_to(most, (task.series.samples - settled, len(most))).copy()
     with np.errstate(all="ignore"):
         run = predict_readings(task, settings, noise, carry=True)
-        along = np.zeros((n + tracked, tracked))
-        along[n:] = _covariance_root(settings.first_covariance[n:, n:])
+        root = _bounded_root(settings.first_covariance[n:, n:])
+        along = np.concatenate([np.zeros((n, root.shape[1])), root])
         for k in range(settled, run.done):
             own = np.linalg.norm(run.rows[k, :, : n + tracked] @ along, axis=1)
             if not np.all(own < _MOST * most):
@@ -99,13 +100,10 @@ def doubt_along_readings(
     return doubt
 
 
-def _covariance_root(covariance: Array) -> Array:
-    """L of V = D C D = L L^T, by the eigenvalues of C.
+def _bounded_root(covariance: Array) -> Array:
+    """L (q, directions) of V = L L^T.
 
     A variance that overflows, of a value that no reading tells, is very large, and goes with none.
     """
     known = np.isfinite(covariance)
-    bounded = np.where(known, covariance, _UNTOLD * np.eye(len(covariance)))
-    sizes = np.sqrt(np.maximum(np.diag(bounded), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(bounded / np.outer(sizes, sizes))
-    return sizes[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return covariance_root(np.where(known, covariance, _UNTOLD * np.eye(len(covariance))))
