@@ -154,12 +154,14 @@ class ThresholdLoss(StateFlow):
 
 
 class DryLoss(StateFlow):
-    """Dry friction on a speed that is a state of first order: v' = ... - f tanh(v / w).
+    """A loss that has its sign alone from a speed, a current or a flow: x' = ... - f tanh(x / w).
 
-    As ``coulomb_friction``, per unit of mass, for systems whose equations are all of first order.
+    Dry friction of a speed that is a state of first order (``coulomb_friction`` per unit of mass);
+    the voltage drop of brushes, of diodes, of an inverter's dead time; the yield stress of what
+    flows (Bingham).
     """
 
-    units = ("m/s", "rad/s")
+    units = ("m/s", "rad/s", "A", "m^3/s", "kg/s")
     differences = True
     parameters = (
         Parameter("level", "force", lower=0.0),
@@ -167,7 +169,7 @@ class DryLoss(StateFlow):
     )
 
     def flow(self, at, u, p):
-        """-f tanh(v / w)."""
+        """-f tanh(x / w)."""
         return [-p.level * tanh(at.position[0] / p.width)]
 
 

@@ -7,7 +7,7 @@ enters as a plain factor of what they exert.
 from __future__ import annotations
 
 from spiral.math import exp, length, log, ramp, where
-from spiral.types.effect import ForceEffect
+from spiral.types.effect import ForceEffect, StateFlow
 from spiral.types.parameter import Parameter, State
 
 _TURN = 6.283185307179586
@@ -73,6 +73,31 @@ class Lag(ForceEffect):
         """(q - z) / T."""
         late = zip(at.position, at.own.lagged, strict=True)
         return {"lagged": [(q - z) / p.time_constant for q, z in late]}
+
+
+class HiddenStore(StateFlow):
+    """A store that no sensor sees, filled and emptied: x' = ... - c (x - z), T z' = x - z.
+
+    Walls that take up gas, heat or moisture, a dead volume, a tissue, a second branch of resistor
+    and capacitor: any body of one relaxation beside a state of first order. c T is its capacity
+    over that of the state. What fills faster than the state moves adds to that capacity; what fills
+    slower than the record lasts is a ``linear_loss``.
+    """
+
+    special = ("linear_loss",)
+    states = (State("level", "position"),)
+    parameters = (
+        Parameter("rate", "force/position", lower=0.0),
+        Parameter("time_constant", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
+    )
+
+    def flow(self, at, u, p):
+        """-c (x - z)."""
+        return [-p.rate * (at.position[0] - at.own.level)]
+
+    def rate(self, at, u, p):
+        """(x - z) / T."""
+        return {"level": (at.position[0] - at.own.level) / p.time_constant}
 
 
 class BoucWen(ForceEffect):

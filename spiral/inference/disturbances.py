@@ -9,7 +9,7 @@ import numpy as np
 from spiral.types.formatting import join_words, number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
-from spiral.types.noise import COLOURED
+from spiral.types.noise import COLOURED, FORCES
 from spiral.types.parameter import BETWEEN, Interpolation
 from spiral.types.run import Comparison
 from spiral.types.system import has_coordinates
@@ -25,7 +25,7 @@ def random_shares(comparison: Comparison, *kinds: str) -> dict[str, float]:
 
 def random_forces(comparison: Comparison) -> dict[str, float]:
     """Forces that act at random beside the model, by name, as shares of the machine's own."""
-    return random_shares(comparison, "force", "gust")
+    return random_shares(comparison, *FORCES)
 
 
 def coloured_noise(comparison: Comparison) -> dict[str, float]:
@@ -44,11 +44,11 @@ def random_sentence(comparison: Comparison) -> str:
     for name, share in (comparison.random or {}).items():
         kind, _, where = name.partition(".")
         time = comparison.random_times.get(name)
-        lasting = "" if time is None else f", correlated over {number(time, 2)} s"
-        if kind in ("force", "gust"):
+        lasting = _spectrum_clause(kind, time)
+        if kind in FORCES:
             said.append(
                 f"a random {acting} acts on {_STATES.get(where, where.removesuffix('_rate'))}: "
-                f"{percent(share)} of the machine's own {acting}s{lasting or ', white'}"
+                f"{percent(share)} of the machine's own {acting}s{lasting}"
             )
         elif kind == "drift":
             said.append(f"sensor {where} drifts by {percent(share)} of its motion over the record")
@@ -67,6 +67,15 @@ def random_sentence(comparison: Comparison) -> str:
         said.append("a free run errs by what a sensor drifts, also that of a right model")
     text = "; ".join(said)
     return text[:1].upper() + text[1:] + "." if text else ""
+
+
+def _spectrum_clause(kind: str, time: float | None) -> str:
+    """How what acts at random is spread over frequency, as the end of a sentence."""
+    if time is None:
+        return ", white" if kind in FORCES else ""
+    if kind == "swell":
+        return f", around {number(1 / (2 * np.pi * time), 2)} Hz"
+    return f", correlated over {number(time, 2)} s"
 
 
 def record_sentence(comparison: Comparison) -> str:

@@ -12,10 +12,19 @@ NOISE_LAGS = 13
 """Autocovariances that bear on ``estimate_noise``: up to its highest order, 12."""
 _MEDIAN = 0.45494  # of the square of a normal variable
 
-Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust"]
+Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust", "swell"]
 
 COLOURED: tuple[Kind, ...] = ("coloured", "band", "vibration")
 """Kinds of stationary sensor noise that are not white."""
+
+FORCES: tuple[Kind, ...] = ("force", "gust", "swell")
+"""Kinds of random forces: white, correlated over a time, around a frequency."""
+
+FILTERED: tuple[Kind, ...] = ("band", "swell")
+"""Kinds behind a filter whose order is told by the likelihood, too."""
+
+CORRELATED: tuple[Kind, ...] = ("gust", "swell")
+"""Random forces that are not white."""
 
 
 def estimate_noise(values: Array, robust: bool = False) -> float:

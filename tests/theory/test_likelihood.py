@@ -43,6 +43,14 @@ TERMS = {
     ),
     "drift": ((NoiseTerm("drift", "x"),), {"drift.x": 0.05}),
     "gust": ((NoiseTerm("gust", "observed"),), {"gust.observed": 0.3, "gust.time": 0.1}),
+    "swell": (
+        (NoiseTerm("swell", "observed"),),
+        {"swell.observed": 0.3, "swell.time": 0.05, "swell.damping": 0.2},
+    ),
+    "steep swell": (
+        (NoiseTerm("swell", "observed", 6),),
+        {"swell.observed": 0.3, "swell.time": 0.05, "swell.damping": 0.4},
+    ),
 }
 
 
@@ -94,6 +102,30 @@ def test_noise_behind_a_low_pass_has_its_spectrum(order):
             for t in (k * dt / time, 0.0)
         )
         assert found == pytest.approx(size**2 * power / whole, abs=2e-6)
+
+
+@pytest.mark.parametrize("order", [2, 4, 6, 8])
+def test_a_force_around_a_frequency_has_its_spectrum(order):
+    """Covariances of what acts: those of 1 / (1 + ((w / w0 - w0 / w) / 2 d)^n), by quadrature."""
+    task, settings = task_of(record_of(0, samples=64))
+    time, size, damping, dt = 0.02, 0.3, 0.25, task.series.dt
+    term = NoiseTerm("swell", "observed", order)
+    values = {term.size: size, term.time: time, term.damping: damping}
+    parts = noise_matrices(task, settings, first_noise(task, 0.0).with_terms((term,), values))
+    n, acts = len(task.states), parts.driven[1] > 0
+    first, step = parts.p[n:, n:], parts.phi
+    np.testing.assert_allclose(
+        step @ first @ step.T + parts.q[n:, n:], first, atol=1e-9 * first.max()
+    )
+    for k in range(12):
+        found = (np.linalg.matrix_power(step, k) @ first)[acts][0, acts][0]
+        power, whole = (
+            quad(lambda w, t=t: np.cos(w * t) / (1 + ((w - 1 / w) / (2 * damping)) ** order),
+                 1e-6, 60, limit=2000)[0]
+            for t in (k * dt / time, 0.0)
+        )  # fmt: skip
+        assert found == pytest.approx((size * task.rates[1]) ** 2 * power / whole,
+                                      abs=2e-3 * (size * task.rates[1]) ** 2)  # fmt: skip
 
 
 def test_white_noise_takes_the_place_of_terms_that_go():

@@ -9,13 +9,16 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
     gust      z' = -z / T + w,  std a                acceleration with correlation time T
+    swell     P_n(d/dt / w0) z = w                   acceleration of std a around w0 / 2 pi
 
 A reading that is no state (an acceleration) has what forces add to the rates that it is made of,
 at once; a white force is then a value that is held for a sample.
 
 B_n is the Butterworth polynomial of the term's order n (2: s^2 + 2^(1/2) s + 1), as an anti-alias
-filter has it. Sizes are what a likelihood decides (``fit``), on a logarithmic scale. A gust's a is
-a share of the standard deviation of the rate it acts on.
+filter has it; P_n that of a Butterworth band-pass of n poles, 2 d w0 wide (2: s^2 + 2 d s + 1), of
+which the n/2-th derivative of z acts. Sizes are what a likelihood decides (``fit``), on a
+logarithmic scale. A gust's a and a swell's are shares of the standard deviation of the rate that
+they act on.
 """
 
 from __future__ import annotations
@@ -34,10 +37,10 @@ from spiral.engine.filter.noise import (
     sampled_covariance,
 )
 from spiral.engine.filter.task import FilterInput
-from spiral.types.noise import COLOURED, Kind
+from spiral.types.noise import COLOURED, CORRELATED, FORCES, Kind
 from spiral.types.record import Array
 
-EXTRA: tuple[Kind, ...] = (*COLOURED, "drift", "gust")
+EXTRA: tuple[Kind, ...] = (*COLOURED, "drift", *CORRELATED)
 """Kinds beyond white noise and a white force."""
 
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
@@ -47,13 +50,14 @@ _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8
 """Highest order of the low-pass of a ``band``."""
 _RINGING, _DEAD = 0.005, 0.2  # damping ratio of a vibration: beyond it is noise behind a low-pass
+_BROAD = 1.0  # largest damping ratio of a swell: its band is then as wide as its frequency
 
 
 @dataclass(frozen=True)
 class NoiseTerm:
     """One random force or sensor noise; ``where`` is a channel, or a group of states, or one state.
 
-    ``order`` is that of the low-pass of a ``band``.
+    ``order`` is that of the low-pass of a ``band``, and the poles of the band-pass of a ``swell``.
     """
 
     kind: Kind
@@ -68,17 +72,18 @@ class NoiseTerm:
     @property
     def time(self) -> str:
         """Name of its correlation time (or corner's 1 / w0), which all of a kind share."""
-        return f"{self.kind}.time" if self.kind in (*COLOURED, "gust") else ""
+        return f"{self.kind}.time" if self.kind in (*COLOURED, *CORRELATED) else ""
 
     @property
     def damping(self) -> str:
-        """Name of the damping ratio d of a vibration."""
-        return f"{self.kind}.damping" if self.kind == "vibration" else ""
+        """Name of the damping ratio d of a vibration or a swell."""
+        return f"{self.kind}.damping" if self.kind in ("vibration", "swell") else ""
 
     @property
     def states(self) -> int:
         """Number of filter states that it adds for one channel or rate."""
-        return {"white": 0, "force": 0, "band": self.order, "vibration": 2}.get(self.kind, 1)
+        shaped = {"band": self.order, "swell": self.order, "vibration": 2}
+        return {"white": 0, "force": 0, **shaped}.get(self.kind, 1)
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ class NoiseModel:
         less = self.without(*kinds)
         sizes = dict(less.values)
         for term in (t for t in self.terms if t.kind in kinds and t.kind != "drift"):
-            white = f"{'force' if term.kind == 'gust' else 'white'}.{term.where}"
+            white = f"{'force' if term.kind in CORRELATED else 'white'}.{term.where}"
             if white in sizes:
                 sizes[white] = float(np.hypot(sizes[white], self.values[term.size]))
         return less.with_values(sizes)
@@ -154,8 +159,8 @@ def size_limits(task: FilterInput, name: str) -> tuple[float, float]:
     if where == "time":
         return _SHORTEST * task.series.dt, _LONGEST * task.series.dt * task.series.samples
     if where == "damping":
-        return _RINGING, _DEAD
-    if kind in ("force", "gust"):
+        return _RINGING, _DEAD if kind == "vibration" else _BROAD
+    if kind in FORCES:
         return _LEVEL, OWN
     channels = task.compiled.traced.channels
     spread = float(task.series.deviations[channels.index(where)]) or 1.0
@@ -171,7 +176,7 @@ def drop_inapplicable_forces(task: FilterInput, noise: NoiseModel) -> NoiseModel
     An effect that is dropped from the model takes its own states with it.
     """
     return noise.select_terms(
-        t for t in noise.terms if t.kind not in ("force", "gust") or driven_states(task, t.where)
+        t for t in noise.terms if t.kind not in FORCES or driven_states(task, t.where)
     )
 
 
@@ -206,7 +211,7 @@ def noise_matrices(task: FilterInput, settings: FilterSettings, noise: NoiseMode
         if block.channel >= 0:
             seen[block.channel, part.start] = 1.0
         else:
-            driven[block.state, part.start] = 1.0
+            driven[block.state, part.start + block.shown] = 1.0
     seen += task.felt @ driven
     size = len(q) + k
     whole, start = np.zeros((size, size)), np.zeros((size, size))
@@ -238,13 +243,17 @@ def sensor_autocovariance(task: FilterInput, noise: NoiseModel, channel: str, la
 
 @dataclass(frozen=True)
 class _Block:
-    """One process z: its transition, added and first covariance, and what it acts on."""
+    """One process z: its transition, added and first covariance, and what it acts on.
+
+    ``shown`` is the state of it that acts: z, or a derivative over powers of w0.
+    """
 
     phi: Array
     q: Array
     p: Array
     channel: int = -1
     state: int = -1
+    shown: int = 0
 
 
 def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
@@ -262,6 +271,12 @@ def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]
             replace(_relaxation_block(dt, values[term.time], size * float(task.rates[i])), state=i)
             for i in driven_states(task, term.where)
         ]
+    if term.kind == "swell":
+        whole = _shaped_block(dt, term, values)
+        return [
+            replace(_scaled(whole, float(task.rates[i])), state=i, shown=term.order // 2)
+            for i in driven_states(task, term.where)
+        ]
     channel = task.compiled.traced.channels.index(term.where)
     if term.kind == "drift":
         one = np.ones((1, 1))
@@ -269,6 +284,11 @@ def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]
     if term.kind in ("band", "vibration"):
         return [replace(_shaped_block(dt, term, values), channel=channel)]
     return [replace(_relaxation_block(dt, values[term.time], size), channel=channel)]
+
+
+def _scaled(block: _Block, scale: float) -> _Block:
+    """The process times a number."""
+    return replace(block, q=block.q * scale**2, p=block.p * scale**2)
 
 
 def _white_block(size: float) -> _Block:
@@ -285,34 +305,40 @@ def _relaxation_block(dt: float, time: float, size: float) -> _Block:
 
 
 def _shaped_block(dt: float, term: NoiseTerm, values: Mapping[str, float]) -> _Block:
-    """White noise behind a low-pass or a resonance with w0 = 1 / time.
+    """White noise behind a low-pass, a resonance or a band-pass with w0 = 1 / time.
 
-    The states are z and its derivatives over the powers of w0. Stationary, z with the standard
-    deviation ``size``.
+    The states are z and its derivatives over the powers of w0. Stationary, the one that acts with
+    the standard deviation ``size``.
     """
     from scipy.linalg import expm
 
     ratio = values[term.damping] if term.damping else None
-    rate, first = _low_pass(term.order, ratio)
+    rate, first = _shaped_process(term.kind, term.order, ratio)
     phi = expm(rate * dt / values[term.time])
     first = first * values[term.size] ** 2
     return _Block(phi, first - phi @ first @ phi.T, first)
 
 
 @lru_cache(maxsize=64)
-def _low_pass(order: int, ratio: float | None) -> tuple[Array, Array]:
-    """Rates of z, z', ... of an all-pole low-pass with w0 = 1, and their covariance, of z one.
+def _shaped_process(kind: Kind, order: int, ratio: float | None) -> tuple[Array, Array]:
+    """Rates of z, z', ... of an all-pole process with w0 = 1, and their covariance.
 
-    Butterworth's of this order, or of second order with a damping ratio.
+    Of the state that acts it is one. Poles are those of Butterworth's low-pass of this order, of a
+    resonance with a damping ratio, or of Butterworth's band-pass around it.
     """
     from scipy.linalg import companion, solve_continuous_lyapunov
-    from scipy.signal import buttap
+    from scipy.signal import buttap, lp2bp_zpk
 
-    poles = np.array([1.0, 2.0 * (ratio or 0.0), 1.0])
-    if ratio is None:
+    if kind == "swell":
+        poles = np.real(np.poly(lp2bp_zpk(*buttap(order // 2), bw=2.0 * (ratio or 0.0))[1]))
+    elif ratio is None:
         poles = np.real(np.poly(buttap(order)[1]))
+    else:
+        poles = np.array([1.0, 2.0 * ratio, 1.0])
+    order = len(poles) - 1
     rate = companion(poles)[::-1, ::-1]  # z, z', ...: the last row holds the coefficients
     drive = np.zeros((order, order))
     drive[-1, -1] = 1.0
     covariance = solve_continuous_lyapunov(rate, -drive)
-    return rate, covariance / covariance[0, 0]
+    acts = order // 2 if kind == "swell" else 0
+    return rate, covariance / covariance[acts, acts]

@@ -68,7 +68,7 @@ from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model
-from spiral.types.noise import COLOURED, NOISE_LAGS, estimate_noise, expected_noise_estimate
+from spiral.types.noise import COLOURED, FORCES, NOISE_LAGS, estimate_noise, expected_noise_estimate
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
@@ -280,7 +280,7 @@ def reportable_noise(
             size = max(size * np.sqrt(length), gone[term.size])
         elif term.size in gone:
             size = gone[term.size]
-        pushes = term.kind in ("force", "gust")
+        pushes = term.kind in FORCES
         share = size if pushes else size / spread[term.where]
         most = max(share, disturbed) if pushes else share
         if most >= _COUNTS:

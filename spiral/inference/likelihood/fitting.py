@@ -30,6 +30,7 @@ from spiral.inference.evidence.horizons import tracked_deviations
 from spiral.inference.evidence.scales import covering_samples
 from spiral.inference.evidence.spectrum import shortest_time_constant
 from spiral.types.label import owner_of
+from spiral.types.noise import FORCES
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
@@ -213,8 +214,7 @@ def is_random_force_small(fit: LikelihoodFit) -> bool:
 
 def largest_force(noise: NoiseModel) -> float:
     """The largest random force, as a share of the model's own forces; zero where there is none."""
-    kinds = ("force", "gust")
-    return max((noise.values[t.size] for t in noise.terms if t.kind in kinds), default=0.0)
+    return max((noise.values[t.size] for t in noise.terms if t.kind in FORCES), default=0.0)
 
 
 def restart_vanished_noise(
@@ -244,9 +244,7 @@ def has_noiseless_sensor(fit: LikelihoodFit) -> bool:
     noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
     vanished = _vanished_noise_sizes(fit.estimate)
     quiet = any(t.size in vanished for t in noise.terms if t.kind == "white")
-    return quiet and any(
-        t.kind in ("force", "gust") and is_acting(task, noise, t) for t in noise.terms
-    )
+    return quiet and any(t.kind in FORCES and is_acting(task, noise, t) for t in noise.terms)
 
 
 def is_acting(task: FilterInput, noise: NoiseModel, term: NoiseTerm) -> bool:

@@ -88,6 +88,26 @@ def refit_initial_states(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFi
     return fit
 
 
+def far_initial_states(assembly: Assembly, state: FitState, noise: NoiseModel) -> FitState | None:
+    """The state with hidden states smoothed from a wide doubt, at its values; nothing if no better.
+
+    A hidden state that only adds up what flows in (a charge, a store) may begin anywhere. Once
+    values have moved to make up for where it was taken to begin, another slow state does its work,
+    and the smoother does not tell them apart any more: so it is looked for before they move.
+    """
+    fit = fit_by_likelihood(assembly, state, noise, steps=0)
+    if not fit.estimate.finite:
+        return None
+    begun = fit
+    for _ in range(_AGAIN):
+        there, _ = _smoothed_initial_states(fit, _FAR, 1.0)
+        again = fit_by_likelihood(assembly, there, noise, steps=0, like=begun.estimate.prepared)
+        if not again.log_likelihood > fit.log_likelihood + WORTH:
+            break
+        fit = again
+    return None if fit is begun else fit.state
+
+
 def _refit_from_smoothed_states(
     assembly: Assembly, fit: LikelihoodFit, spread: float, stretch: float = 1.0
 ) -> LikelihoodFit:

@@ -36,7 +36,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.types.invalid import bridged
-from spiral.types.noise import COLOURED, Kind
+from spiral.types.noise import COLOURED, CORRELATED, FILTERED, FORCES, Kind
 
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
 _TUNE_FIRST = 4  # of the latter before a term may be given up
@@ -49,6 +49,7 @@ _OWN_LINE = (
     0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
 )
 _GUST_SIZES = (1e-4, 1e-3, 4e-3, 0.015, 0.05)  # of a gust beside forces that are there already
+_SWELL_SIZES = (0.01, 0.1)  # of a force in place of a sensor that rings
 _GUST, _GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
 _MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
 _NARROW = 0.1  # damping ratio that a line begins with
@@ -91,6 +92,9 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
     if fit.estimate.finite and not is_white(assembly, fit):
         apart = _best_noise_model(fit.estimate, list(_separate_forces(fit.estimate)))
         fit = fit if apart is None else continue_fit(assembly, fit, apart.noise, rough=True)
+    if fit.estimate.finite and fit.estimate.noise.has_kind("vibration"):
+        rung = _best_noise_model(fit.estimate, list(_forces_for_vibration(fit.estimate)))
+        fit = fit if rung is None else continue_fit(assembly, fit, rung.noise, rough=True)
     return _select_force_location(assembly, fit)
 
 
@@ -146,21 +150,38 @@ def _alternative_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
     """Noise models in which a force acts on one state of its group alone, or is correlated."""
     task, noise = at.prepared[0][0], at.noise
     shared = shared_groups(task)
-    for term in (t for t in noise.terms if t.kind in ("force", "gust")):
+    for term in (t for t in noise.terms if t.kind in FORCES):
         if not is_acting(task, noise, term):
             continue
         size = noise.values[term.size]
         others = noise.select_terms(t for t in noise.terms if t is not term)
         states = [task.states[i] for i in shared.get(term.where, ())]
-        times = {k: v for k, v in noise.values.items() if k == term.time}
+        times = {k: v for k, v in noise.values.items() if k in (term.time, term.damping)}
         for one in (replace(term, where=state) for state in states):
             yield others.with_terms((one,), {**times, one.size: size})
-        if term.kind == "gust" or noise.has_kind("gust"):
+        if term.kind in CORRELATED or noise.has_kind("gust"):
             continue
         for one in (NoiseTerm("gust", where) for where in (term.where, *states)):
             yield others.with_terms(
                 (one,), {one.size: size, one.time: _initial_correlation_time(task, _GUST_TIMES[0])}
             )
+
+
+def _forces_for_vibration(at: MaximumLikelihood) -> Iterator[NoiseModel]:
+    """Noise models with a force around the frequency at which a sensor would ring, in its place.
+
+    Through a machine of one coordinate both look much alike.
+    """
+    noise = at.noise
+    others = noise.without("vibration")
+    for term in (t for t in noise.terms if t.kind == "vibration"):
+        around = {
+            "swell.time": noise.values[term.time],
+            "swell.damping": noise.values[term.damping],
+        }
+        for one in (NoiseTerm("swell", where) for where in noise_groups(at.prepared[0][0])):
+            for size in _SWELL_SIZES:
+                yield others.with_terms((one,), {**around, one.size: size})
 
 
 def shared_groups(task: FilterInput) -> dict[str, tuple[int, ...]]:
@@ -177,7 +198,7 @@ def _separate_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
     task, noise = at.prepared[0][0], at.noise
     shared = shared_groups(task)
     for term in noise.terms:
-        if term.kind not in ("force", "gust") or term.where not in shared:
+        if term.kind not in FORCES or term.where not in shared:
             continue
         size, each = noise.values[term.size], tuple(
             replace(term, where=task.states[i]) for i in shared[term.where]
@@ -271,12 +292,12 @@ def _best_noise_model(
     chosen, worth = None, float(np.log(DECISIVE_ODDS))
     for noise in noises:
         enough = at.log_likelihood + _noise_penalty(noise, at.noise, at.prepared) + worth
-        steep = noise.has_kind("band") and not at.noise.has_kind("band")  # its order may rise yet
+        steep = any(noise.has_kind(k) > at.noise.has_kind(k) for k in FILTERED)  # may get steeper
         trial = tune_noise(at.prepared, noise, -np.inf if steep else enough)
-        trial = _raise_low_pass_order(trial) if steep else trial
+        trial = raise_filter_order(trial) if steep else trial
         if _worth_beside(trial, at) > worth:
             chosen, worth = trial, _worth_beside(trial, at)
-    return None if chosen is None else _raise_low_pass_order(chosen)
+    return None if chosen is None else raise_filter_order(chosen)
 
 
 def tune_noise(
@@ -295,13 +316,14 @@ def tune_noise(
     )
 
 
-def _raise_low_pass_order(at: MaximumLikelihood) -> MaximumLikelihood:
-    """The noise with the low-pass of the most likely order; unchanged where it has none.
+def raise_filter_order(at: MaximumLikelihood) -> MaximumLikelihood:
+    """The noise with the low-pass or band-pass of the likeliest order; unchanged if it has none.
 
     Anti-alias filters are of fourth to eighth order. Behind one every further order makes the next
-    sample much more certain, which a random force would explain otherwise.
+    sample much more certain, which a random force would explain otherwise. So does a band whose
+    edges are steep, as of a shaker or of waves.
     """
-    while at.finite and (band := [t for t in at.noise.terms if t.kind == "band"]):
+    while at.finite and (band := [t for t in at.noise.terms if t.kind in FILTERED]):
         order = band[0].order + 2
         if order > STEEPEST:
             break
@@ -435,7 +457,7 @@ def drop_needless_noise(
     noise = fit.estimate.noise
     if not fit.estimate.finite:
         return fit
-    for kind in (*COLOURED, "gust", "drift"):
+    for kind in (*COLOURED, *CORRELATED, "drift"):
         if not noise.has_kind(kind):
             continue
         progress("trying a simpler noise model")

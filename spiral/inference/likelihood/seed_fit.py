@@ -1,7 +1,8 @@
 """The seed fitted from several starts; the likelihood of the whole records decides.
 
 1. the values given, or the balance of forces through the measured motion (``initial_fit_state``),
-   hidden states from zero, and once more with those of first order from where they rest;
+   hidden states from zero, once more with those of first order from where they rest, and with all
+   of them from where a smoother with a wide doubt finds them at these values;
 2. a fit on windows of 64 and 256 samples, which bears values that are far off where the motion is
    measured;
 3. the first again with process noise ten times smaller and ten times larger to begin with;
@@ -47,13 +48,14 @@ from spiral.inference.likelihood.fitting import (
     required_substeps,
     schwarz_penalty,
 )
-from spiral.inference.likelihood.initial_states import refit_initial_states
+from spiral.inference.likelihood.initial_states import far_initial_states, refit_initial_states
 from spiral.inference.likelihood.noise_selection import (
     drop_needless_noise,
     initial_drift_size,
     select_noise_model,
 )
 from spiral.inference.problem import DECISIVE_ODDS, Progress
+from spiral.types.noise import CORRELATED, FORCES
 
 _HEAT = 8  # scoring steps of each start
 _SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
@@ -169,11 +171,11 @@ def restart_from_sensor_drift(
     """
     at = fit.estimate
     task, noise = at.prepared[0][0], at.noise
-    forces = [t for t in noise.terms if t.kind in ("force", "gust")]
+    forces = [t for t in noise.terms if t.kind in FORCES]
     if not any(is_acting(task, noise, t) for t in forces) or not is_white(assembly, fit):
         return fit
     least = {t.size: size_limits(task, t.size)[0] for t in forces if t.kind == "force"}
-    still = noise.select_terms(t for t in noise.terms if t.kind != "gust").with_values(least)
+    still = noise.without(*CORRELATED).with_values(least)
     enough = fit.log_likelihood + float(np.log(DECISIVE_ODDS))
     best = fit
     for term in (NoiseTerm("drift", c) for c in task.compiled.traced.channels):
@@ -293,7 +295,12 @@ def _start_states(
 ) -> Iterator[tuple[FitState, float]]:
     progress("starting from the values given")
     yield state, LEVEL
-    rests = [resting_first_state(task) for task, _ in prepare_filter_tasks(assembly, state)]
+    tasks = [task for task, _ in prepare_filter_tasks(assembly, state)]
+    far = far_initial_states(assembly, state, first_noise(tasks[0], LEVEL))
+    if far is not None:
+        progress("starting again with hidden states from where they may have begun")
+        yield far, LEVEL
+    rests = [resting_first_state(task) for task in tasks]
     if all(x is not None for x in rests):
         progress("starting again with hidden states at rest")
         starts = tuple(x for x in rests if x is not None)

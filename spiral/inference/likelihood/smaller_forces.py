@@ -29,6 +29,7 @@ from spiral.inference.likelihood.noise_selection import (
     tune_noise,
 )
 from spiral.inference.problem import DECISIVE_ODDS, Progress
+from spiral.types.noise import CORRELATED
 
 _FITTED = 2  # models of the noise that are fitted together with the parameters
 
@@ -65,7 +66,7 @@ def _small_force_models(task: FilterInput, noise: NoiseModel, limit: float) -> I
     """Noise models with one correlated force in place of large white and all correlated ones."""
     kept = noise.select_terms(
         t for t in noise.terms
-        if t.kind != "gust" and not (t.kind == "force" and noise.values[t.size] > limit)
+        if t.kind not in CORRELATED and not (t.kind == "force" and noise.values[t.size] > limit)
     )  # fmt: skip
     states = (task.states[i] for s in shared_groups(task).values() for i in s)
     for where in (*noise_groups(task), *states):

@@ -1,7 +1,7 @@
 """Other noise models, tried where no missing effect explains the residual.
 
-Noise may grow with its reading; and a random force that is no explanation may be one with a memory,
-smaller and on one state alone.
+Noise may grow with its reading; a random force that is no explanation may be one with a memory,
+smaller and on one state alone; and one may act around a frequency.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from spiral.inference.likelihood.fitting import (
     is_white,
     largest_force,
 )
+from spiral.inference.likelihood.resonant_forces import add_resonant_force
 from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.likelihood.smaller_forces import replace_large_forces
 from spiral.inference.problem import Progress
@@ -91,3 +92,14 @@ def refit_with_smaller_forces(
     if largest_force(fit.estimate.noise) > limit:
         return None
     return compare_likelihood_fit(assembly, fit, progress)
+
+
+def refit_with_resonant_force(
+    assembly: Assembly, state: FitState, progress: Progress
+) -> RefittedModel | None:
+    """The model as it is, beside a random force around a frequency; nothing if not likelier."""
+    fit = fit_by_likelihood(assembly, state, rough=True)
+    fit = add_resonant_force(assembly, fit, progress)
+    if fit is None:
+        return None
+    return compare_likelihood_fit(assembly, finish_fit(assembly, fit, progress), progress)

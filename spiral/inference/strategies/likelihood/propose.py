@@ -63,6 +63,7 @@ from spiral.inference.strategies.likelihood.look_alikes import prefer_special_ca
 from spiral.inference.strategies.likelihood.memory_rounds import find_missing_memory
 from spiral.inference.strategies.likelihood.other_noise import (
     refit_with_noise_growth,
+    refit_with_resonant_force,
     refit_with_smaller_forces,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
@@ -122,9 +123,12 @@ def propose(
         return _propose_after_refit(options, assembly, calmer, number, progress)
     if (grown := refit_with_noise_growth(assembly, state, base, progress)) is not None:
         return replace(step, stopped=_ending(grown.comparison, assembly), again=grown)
-    return _step_for_unexplained(
+    left = _step_for_unexplained(
         options, assembly, state, base, step, comparison, masks, level, progress
     )
+    if left is step and (rung := refit_with_resonant_force(assembly, state, progress)) is not None:
+        return _propose_after_refit(options, assembly, rung, number, progress)
+    return left
 
 
 def _race_candidates(

@@ -1,0 +1,90 @@
+"""A random force around a frequency (waves, eddies, a road), where misses are white with no other.
+
+    z'' = -2 d w0 z' - w0^2 z + w,    added to a rate: z' / w0, or a band-pass of more poles
+
+A white force and one with a correlation time have most of what they have at low frequencies. One
+that does not leaves coloured misses beside either, and what stands in for it spoils values. It
+would also do the work of a resonance that the model lacks, so that it is tried last, where no
+candidate, law or curve explains what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from spiral.engine.filter.noise import noise_groups
+from spiral.engine.likelihood.fit import MaximumLikelihood
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
+from spiral.engine.likelihood.predict import log_likelihood, predict_cases
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    continue_fit,
+    is_white,
+    largest_force,
+    schwarz_penalty,
+)
+from spiral.inference.likelihood.noise_selection import (
+    raise_filter_order,
+    shared_groups,
+    tune_noise,
+)
+from spiral.inference.problem import DECISIVE_ODDS, Progress
+from spiral.types.noise import COLOURED, CORRELATED
+
+_FREQUENCIES = 10  # to begin with, from two periods in the record to a fifth of the rate
+_SIZES = (0.01, 0.05)  # to begin with, shares of the rate's deviation
+_DAMPING = 0.3
+_MOST_TOGETHER = 6  # states of a group: each has a force of its own with two states or more
+_TUNED = 3  # starts that are tuned, the likeliest ones
+_FITTED = 2  # of which so many are fitted together with the parameters
+
+
+def add_resonant_force(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit | None:
+    """The fit beside a random force around a frequency, where that is likelier by the odds.
+
+    It takes the place of all other correlated forces and of noise of sensors that is not white,
+    which were selected since misses were not white without it, or acts beside them. No force may be
+    larger with it than ``settings.random_limit``. Nothing where misses are white already, or where
+    it is not taken.
+    """
+    at, limit = fit.estimate, assembly.problem.settings.random_limit
+    if not at.finite or at.noise.has_kind("swell") or is_white(assembly, fit):
+        return None
+    progress("trying a random force around a frequency")
+    starts = list(_resonant_force_models(at))
+    heights = [log_likelihood(p) for p in predict_cases([(at.prepared, n) for n in starts])]
+    first = [starts[i] for i in np.argsort(heights)[::-1][:_TUNED]]
+    looks = sorted((tune_noise(at.prepared, n) for n in first), key=lambda m: -m.log_likelihood)
+    best: LikelihoodFit | None = None
+    for look in map(raise_filter_order, looks[:_FITTED]):
+        trial = continue_fit(assembly, fit, look.noise, rough=True) if look.finite else fit
+        more = schwarz_penalty(len(trial.estimate.noise.names) - len(at.noise.names), at.prepared)
+        likelier = trial.log_likelihood - more > fit.log_likelihood + np.log(DECISIVE_ODDS)
+        small = largest_force(trial.estimate.noise) <= limit
+        if not (likelier and small):
+            continue
+        if best is None or trial.log_likelihood > best.log_likelihood:
+            best = trial
+    return best
+
+
+def _resonant_force_models(at: MaximumLikelihood) -> Iterator[NoiseModel]:
+    """Noise models with a force around one of several frequencies, on each group or state."""
+    task, noise = at.prepared[0][0], at.noise
+    dt, length = task.series.dt, task.series.dt * task.series.samples
+    bare = noise.replace_with_white(*COLOURED, *CORRELATED, "drift")
+    begun = (noise,) if bare.terms == noise.terms else (noise, bare)
+    states = (task.states[i] for s in shared_groups(task).values() for i in s)
+    groups = (n for n, s in noise_groups(task).items() if len(s) <= _MOST_TOGETHER)
+    for where in (*groups, *states):
+        one = NoiseTerm("swell", where)
+        for hertz in np.geomspace(2.0 / length, 0.2 / dt, _FREQUENCIES):
+            for size in _SIZES:
+                values = {one.size: size, one.time: 1.0 / (2.0 * np.pi * float(hertz))}
+                for other in begun:
+                    yield other.with_terms((one,), {**values, one.damping: _DAMPING})
