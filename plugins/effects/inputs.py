@@ -182,5 +182,7 @@ class InputDelay(InputEffect):
         return delayed(at.position[0], at.own.level, at.own.slope, p.time / p.scale)
 
     def remark(self, values, step):
-        """The remark on a delay of half a sample; empty for any other."""
+        """Remarks on a negative delay, and on one of half a sample."""
+        if values["time"] < 0:
+            return f"no actuator is early: the input is recorded {-values['time']:.2g} s late"
         return half_sample_remark(values["time"], step)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
+from spiral_plugins.systems.equations import Equations
 
 import spiral
 from spiral.types.record import make_record
@@ -143,3 +144,34 @@ def test_an_absorber_is_not_lost_beside_a_sensor_that_drifts(tmp_path):
     for name, true in {"c": 0.45, "K": 14.0, "ct": 0.03, "kt": 0.75}.items():
         assert found[name].estimate == pytest.approx(true, abs=4 * found[name].se)
     assert found["kt"].estimate == pytest.approx(0.75, rel=0.05)
+
+
+_CELL = """
+equations:
+  - z' = I/Q
+  - w' = b*I - a*w
+states: {z: "1", w: V}
+inputs: {I: {unit: A, interpolation: zero_order}}
+constants: {E0: 3.3 V, E1: 0.7 V, E3: 0.2 V, R: 0.03 ohm}
+parameters: {Q: 9000 A*s, a: 0.03 1/s, b: 0.0017 V/A/s}
+free: [a, b]
+observed: ["U = E0 + E1*z + E3*z^3 + w + R*I"]
+"""
+
+
+def test_a_charge_that_only_adds_up_begins_where_it_was():
+    """Half charged, 40 times as far from empty as it moves; else the overvoltage kept for ever."""
+    count, dt, rng = 1500, 1.0, np.random.default_rng(7)
+    current = _held(rng, count, 10, 40, -4.0, 4.0)
+    states = _run(lambda x, u: [u[0] / 9000, 0.0015 * u[0] - 0.025 * x[1]], [0.5, 0.0],
+                  current[:, None], dt)  # fmt: skip
+    z, w = states.T
+    volts = 3.3 + 0.7 * z + 0.2 * z**3 + w + 0.03 * current
+    volts = volts + 0.01 * np.std(volts) * rng.normal(size=count)
+    system = Equations(text=_CELL)
+    record = make_record(system, "cell", np.arange(count) * dt, {"U": volts}, {"I": current})
+    run = spiral.discover(record, system, candidates=["linear_loss"])
+    assert run.verdict == "nothing_missing", run.summary
+    told = run.model.estimates()["system"]
+    for name, true in (("a", 0.025), ("b", 0.0015)):
+        assert abs(told[name].estimate - true) < 3 * told[name].se

@@ -124,8 +124,9 @@ def test_a_force_around_a_frequency_has_its_spectrum(order):
                  1e-6, 60, limit=2000)[0]
             for t in (k * dt / time, 0.0)
         )  # fmt: skip
-        assert found == pytest.approx((size * task.rates[1]) ** 2 * power / whole,
-                                      abs=2e-3 * (size * task.rates[1]) ** 2)  # fmt: skip
+        whole_power = (size * task.rates[1]) ** 2  # of two poles 0.6 % lies beyond the quadrature
+        near = (8e-3 if order == 2 else 2e-4) * whole_power
+        assert found == pytest.approx(whole_power * power / whole, abs=near)
 
 
 def test_white_noise_takes_the_place_of_terms_that_go():

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from spiral_plugins.effects.inputs import InputDelay
 from spiral_plugins.effects.losses import (
     AsymmetricLoss,
@@ -18,10 +19,12 @@ from spiral_plugins.systems.equations import Equations
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
+from spiral.inference.problem import silent
 from spiral.inference.simulate import simulate
 from spiral.types.errors import SpiralError
 from spiral.types.model import seed_model
 from spiral.types.port import At
+from spiral.types.record import make_record
 from tests.scenes import effect, registry
 
 TANK = """
@@ -254,3 +257,50 @@ def test_a_slider_loses_four_times_its_force_and_slip_in_a_cycle():
     second = slice(40_000, None)  # settled
     lost = -np.trapezoid(np.array(forces)[second] * velocity[second], time[second])
     assert lost == pytest.approx(100.0 * 0.01 * 4 * (0.05 - 0.01), rel=0.05)
+
+
+VESSEL = """
+equations: ["p' = (Q - g*p)/V"]
+states: {p: Pa}
+inputs: {Q: {unit: Pa*m^3/s, interpolation: zero_order}}
+parameters: {V: 0.06 m^3, g: 0.07 m^3/s}
+free: [g]
+observed: [p]
+"""
+
+
+def _pumped(seed, store, time, samples=1500, step=0.1):
+    """p' = (Q - g p) / V - c (p - z), T z' = p - z: exact for a flow that is held."""
+    rng = np.random.default_rng(seed)
+    flow = np.repeat(rng.uniform(0.0, 2.0, samples // 25), 25)
+    rates = np.zeros((3, 3))
+    rates[0] = [-0.08 / 0.06 - store, store, 1 / 0.06]
+    rates[1, :2] = [1 / time, -1 / time]
+    over, x, seen = expm(rates * step), np.zeros(2), []
+    for q in flow:
+        seen.append(x[0])
+        x = over[:2, :2] @ x + over[:2, 2] * q
+    seen = np.array(seen) + 0.01 * np.std(seen) * rng.normal(size=samples)
+    clock = np.arange(samples) * step
+    return make_record(Equations(text=VESSEL), f"seed {seed}", clock, {"p": seen}, {"Q": flow})
+
+
+def test_walls_that_take_up_gas_are_a_store_with_its_rate_and_time():
+    run = spiral.discover(_pumped(1, 0.25, 9.0), Equations(text=VESSEL), progress=silent)
+    assert run.missing == ("hidden_store@p",), run.summary
+    told = run.model.estimates()
+    for name, true in (("rate", 0.25), ("time_constant", 9.0)):
+        value = told["hidden_store@p"][name]
+        assert abs(value.estimate - true) < 3 * value.se
+    assert told["system"]["g"].estimate == pytest.approx(0.08, rel=0.02)
+
+
+def test_no_store_is_named_where_there_is_none():
+    run = spiral.discover(_pumped(2, 0.0, 9.0), Equations(text=VESSEL), progress=silent)
+    assert (run.verdict, run.missing) == ("nothing_missing", ()), run.summary
+
+
+def test_what_has_its_sign_alone_from_a_current_is_a_loss_of_it():
+    text = TANK.replace("m/V/s", "A/V/s").replace("upper: m, lower: m", "upper: A, lower: A")
+    labels = {e.label for e in registry().candidates(Equations(text=text), everywhere=True)}
+    assert {"dry_loss@upper", "dry_loss@lower"} <= labels
