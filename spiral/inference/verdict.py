@@ -230,8 +230,8 @@ def _slow_force_sentence(comparison: Comparison, settings: Settings) -> str:
     if has_coordinates(comparison.model.system) or not large & {*comparison.random_times}:
         return ""
     return (
-        "A flow that lasts so long may be a state that the model lacks: a second relaxation, or "
-        "hysteresis (memory is looked for in forces alone)."
+        "A flow that lasts so long may be a state that the model lacks: several stores, or "
+        "hysteresis (a candidate is a single store; other memory is looked for in forces alone)."
     )
 
 

@@ -91,6 +91,15 @@ def test_nothing_is_told_of_white_noise():
     assert not any(told)
 
 
+@pytest.mark.parametrize(("hertz", "told"), [(11.3, True), (3.0, False)])
+def test_a_line_that_no_input_has_is_told_with_its_frequency(hertz, told):
+    """Of 11.3 Hz the force has nothing; at 3 Hz the line may be the machine's answer to it."""
+    line = 0.1 * CLEAN.std() * np.sin(2 * np.pi * hertz * TIME + 0.3)
+    found = fitted(CLEAN + line + steady(np.random.default_rng(2)))
+    said = describe_departures(MODEL, found, False, ())
+    assert any(f"one line at {hertz} Hz" in x for x in said) is told, said
+
+
 @pytest.mark.parametrize(
     ("noise", "word"),
     [

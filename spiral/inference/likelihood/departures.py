@@ -6,10 +6,12 @@ With e the whitened misses of a fit and X their slopes by parameters:
     noise that grows      e ~ N(0, a + b h^2),    h a reading from its mean, or from zero, over
                                                   its deviation; or its rate of change (jitter)
     heavy tails           e ~ s t_nu,             Student's t with nu degrees of freedom
+    a line                one frequency that holds a quarter of the power of e, and little of any
+                          input's
 
 They are reported where twice their gain in log-likelihood is above 20. A drift must also pass by
 sums of the misses over blocks, and change its parameter by more than half a percent. The shape of
-the noise is judged only where the misses are white: else they are not noise.
+the noise is judged only where the misses are white, a line only where they are not.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from spiral.engine.filter.noise import driven_states
 from spiral.engine.leastsquares import least_squares
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.score import residual_block_samples
+from spiral.engine.series import sample_inputs
 from spiral.inference.disturbances import what_acts
 from spiral.physics.passivity import implausible_signs
 from spiral.types.formatting import number, percent
@@ -44,6 +47,9 @@ _ZERO = 2.0  # standard errors within which a value is not told from zero
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _HALF = 0.5  # share of what is missed from which a converter's steps are told
 _FEWEST = 64  # samples
+_LINE = 0.25  # share of the power of what is missed that a line holds, half its amplitude
+_UNDRIVEN = 0.05  # share of an input's power at a line, under which the line is not the input's
+_PERIODS = 3  # of a line in a record, at least: slower ones are no line yet
 
 
 def describe_departures(
@@ -58,7 +64,7 @@ def describe_departures(
     samples = sum(len(p.misses) for p in estimate.predictions)
     if not estimate.finite or samples < _FEWEST:
         return ()
-    shapes = _noise_shape_remarks(estimate) if white else ()
+    shapes = _noise_shape_remarks(estimate) if white else _line_remarks(estimate)
     return (
         *_effect_remarks(model, estimate),
         *_noise_weighting_remarks(estimate),
@@ -270,6 +276,44 @@ def _noise_weighting_remarks(estimate: MaximumLikelihood) -> Iterator[str]:
                 f"the noise of sensor {name} grows with its reading, {times}-fold over the middle "
                 "90 % of its values, and the fit weights its readings accordingly"
             )
+
+
+def _line_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
+    """A sentence for each channel of whose misses one frequency holds ``_LINE`` of the power.
+
+    A periodic disturbance that nobody recorded (a day, a neighbouring machine), or a resonance with
+    little damping that the model lacks; not what an input has at that frequency.
+    """
+    r = int(np.argmax([task.series.samples for task, _ in estimate.prepared]))
+    task, part = estimate.prepared[r][0], estimate.predictions[r]
+    given = _power_shares(sample_inputs(task.inputs, task.series.substeps))
+    said = []
+    for j, channel in enumerate(task.compiled.traced.channels):
+        shares = _power_shares(part.whitened[:, j : j + 1])[:, 0]
+        top = int(np.argmax(shares))
+        if shares[top] < _LINE or np.any(given[top] > _UNDRIVEN):
+            continue
+        hertz = top / (task.series.dt * len(part.whitened))
+        said.append(
+            f"{percent(shares[top])} of what is missed of {channel} is one line at "
+            f"{number(hertz, 3)} Hz (a period of {number(1 / hertz, 3)} s) that no input has: a "
+            "periodic disturbance, or a resonance that the model lacks"
+        )
+    return tuple(said)
+
+
+def _power_shares(series: Array) -> Array:
+    """(frequencies, columns) share of each column's power around every frequency of its spectrum.
+
+    A line between two frequencies is in both and their neighbours; slow ones are left out.
+    """
+    level = series - series.mean(axis=0)
+    power = np.abs(np.fft.rfft(level * np.hanning(len(level))[:, None], axis=0)) ** 2
+    power[:_PERIODS] = 0.0
+    around = power.copy()
+    around[1:] += power[:-1]
+    around[:-1] += power[1:]
+    return around / np.maximum(power.sum(axis=0), np.finfo(float).tiny)
 
 
 def _converter_remarks(model: Model, estimate: MaximumLikelihood) -> Iterator[str]:

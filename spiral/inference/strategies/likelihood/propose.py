@@ -119,16 +119,28 @@ def propose(
         return _admitting_step(options, assembly, state, passed, scored, outcome)
     listed, ending = suggestions(tried, ranked, "", ()), _ending(comparison, assembly)
     step = Step(listed[: options.listed], outcome.rejected, stopped=ending, result=scored)
-    if (calmer := refit_with_smaller_forces(assembly, state, progress)) is not None:
-        return _propose_after_refit(options, assembly, calmer, number, progress)
-    if (grown := refit_with_noise_growth(assembly, state, base, progress)) is not None:
-        return replace(step, stopped=_ending(grown.comparison, assembly), again=grown)
-    left = _step_for_unexplained(
-        options, assembly, state, base, step, comparison, masks, level, progress
+    return _step_without_candidate(
+        options, assembly, state, base, step, comparison, masks, level, number, progress
     )
-    if left is step and (rung := refit_with_resonant_force(assembly, state, progress)) is not None:
-        return _propose_after_refit(options, assembly, rung, number, progress)
-    return left
+
+
+def _step_without_candidate(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
+    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
+    number: int, progress: Progress,
+) -> Step[ScoredRound]:  # fmt: skip
+    """The step where no candidate passes: other noise, then what no candidate is, then waves."""
+    other = refit_with_smaller_forces(assembly, state, progress)
+    if other is None:
+        if (grown := refit_with_noise_growth(assembly, state, base, progress)) is not None:
+            return replace(step, stopped=_ending(grown.comparison, assembly), again=grown)
+        left = _step_for_unexplained(
+            options, assembly, state, base, step, comparison, masks, level, progress
+        )
+        other = refit_with_resonant_force(assembly, state, progress) if left is step else None
+        if other is None:
+            return left
+    return _propose_after_refit(options, assembly, other, number, progress)
 
 
 def _race_candidates(
