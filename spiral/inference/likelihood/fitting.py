@@ -34,6 +34,7 @@ from spiral.types.noise import FORCES
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
+_USUAL, _PATIENT = 40, 200  # scoring steps of a rough fit, and of one to the very maximum, at most
 WARM = 6  # scoring steps of a fit on some blocks that starts from a fit of all samples
 _LEAST = 1.5  # times its lower limit, up to which the size of a random force counts as none
 LITTLE = 0.05  # random force up to which it is small, as a share of the model's own
@@ -62,12 +63,14 @@ def continue_fit(
 ) -> LikelihoodFit:  # fmt: skip
     """A fit continued to the maximum of its likelihood, with its own noise model or ``noise``.
 
-    ``rough`` and ``least`` as in ``maximise_likelihood``.
+    ``rough`` and ``least`` as in ``maximise_likelihood``. One that is not rough is given as many
+    steps as it takes along a bent valley, in which values make up for one another.
     """
     at = fit.estimate
     bounds, noise = parameter_bounds(assembly, at.keys, fit.state.substeps), noise or at.noise
+    steps = _USUAL if rough else _PATIENT
     estimate = maximise_likelihood(
-        at.prepared, at.keys, noise, bounds, rough=rough, kept=at.kept, least=least
+        at.prepared, at.keys, noise, bounds, steps=steps, rough=rough, kept=at.kept, least=least
     )
     return LikelihoodFit(with_estimate(fit.state, estimate), estimate)
 
