@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spiral.engine.filter.noise import noise_groups
+from spiral.engine.filter.noise import driven_states, noise_groups
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import FilterInput, build_task
 from spiral.engine.likelihood.fit import MaximumLikelihood, maximise_likelihood
@@ -53,6 +53,7 @@ _SWELL_SIZES = (0.01, 0.1)  # of a force in place of a sensor that rings
 _GUST, _GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
 _MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
 _NARROW = 0.1  # damping ratio that a line begins with
+_MOST_STEEP = 12  # states of a steeper force: with n of them a sample costs n^3
 
 
 @dataclass(frozen=True)
@@ -179,9 +180,14 @@ def _forces_for_vibration(at: MaximumLikelihood) -> Iterator[NoiseModel]:
             "swell.time": noise.values[term.time],
             "swell.damping": noise.values[term.damping],
         }
-        for one in (NoiseTerm("swell", where) for where in noise_groups(at.prepared[0][0])):
+        for one in (NoiseTerm("swell", where) for where in small_groups(at.prepared[0][0])):
             for size in _SWELL_SIZES:
                 yield others.with_terms((one,), {**around, one.size: size})
+
+
+def small_groups(task: FilterInput) -> tuple[str, ...]:
+    """Groups of at most ``_MOST_APART`` states: a force around a frequency has two of each."""
+    return tuple(n for n, states in noise_groups(task).items() if len(states) <= _MOST_APART)
 
 
 def shared_groups(task: FilterInput) -> dict[str, tuple[int, ...]]:
@@ -325,7 +331,8 @@ def raise_filter_order(at: MaximumLikelihood) -> MaximumLikelihood:
     """
     while at.finite and (band := [t for t in at.noise.terms if t.kind in FILTERED]):
         order = band[0].order + 2
-        if order > STEEPEST:
+        states = order * sum(_processes(at.prepared[0][0], t) for t in band)
+        if order > STEEPEST or (band[0].kind == "swell" and states > _MOST_STEEP):
             break
         terms = tuple(replace(t, order=order) if t in band else t for t in at.noise.terms)
         more = tune_noise(at.prepared, replace(at.noise, terms=terms))
@@ -333,6 +340,11 @@ def raise_filter_order(at: MaximumLikelihood) -> MaximumLikelihood:
             break
         at = more
     return at
+
+
+def _processes(task: FilterInput, term: NoiseTerm) -> int:
+    """How many processes of its own a noise term has: one for each state that it pushes."""
+    return len(driven_states(task, term.where)) if term.kind in FORCES else 1
 
 
 def _liveliest_part(at: MaximumLikelihood) -> FilterInputs:

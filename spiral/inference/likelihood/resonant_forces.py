@@ -14,7 +14,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from spiral.engine.filter.noise import noise_groups
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
 from spiral.engine.likelihood.predict import log_likelihood, predict_cases
@@ -29,6 +28,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.noise_selection import (
     raise_filter_order,
     shared_groups,
+    small_groups,
     tune_noise,
 )
 from spiral.inference.problem import DECISIVE_ODDS, Progress
@@ -37,7 +37,6 @@ from spiral.types.noise import COLOURED, CORRELATED
 _FREQUENCIES = 10  # to begin with, from two periods in the record to a fifth of the rate
 _SIZES = (0.01, 0.05)  # to begin with, shares of the rate's deviation
 _DAMPING = 0.3
-_MOST_TOGETHER = 6  # states of a group: each has a force of its own with two states or more
 _TUNED = 3  # starts that are tuned, the likeliest ones
 _FITTED = 2  # of which so many are fitted together with the parameters
 
@@ -80,8 +79,7 @@ def _resonant_force_models(at: MaximumLikelihood) -> Iterator[NoiseModel]:
     bare = noise.replace_with_white(*COLOURED, *CORRELATED, "drift")
     begun = (noise,) if bare.terms == noise.terms else (noise, bare)
     states = (task.states[i] for s in shared_groups(task).values() for i in s)
-    groups = (n for n, s in noise_groups(task).items() if len(s) <= _MOST_TOGETHER)
-    for where in (*groups, *states):
+    for where in (*small_groups(task), *states):
         one = NoiseTerm("swell", where)
         for hertz in np.geomspace(2.0 / length, 0.2 / dt, _FREQUENCIES):
             for size in _SIZES:
