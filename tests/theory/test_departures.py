@@ -202,3 +202,12 @@ def test_a_damper_that_ends_up_feeding_the_machine_is_told_where_it_was_given_as
     assert not reversed_sign_sentences(model, {})
     unsure = replace(model, errors={"linear_damping.damping": 0.3})
     assert not reversed_sign_sentences(unsure, {"linear_damping.damping": 2.0})
+
+
+def test_slow_misses_are_no_line():
+    """A random walk has most of its power at the lowest frequencies, and none stands out."""
+    said = []
+    for seed in range(10):
+        walk = np.cumsum(np.random.default_rng(seed).normal(size=len(CLEAN))) * SPREAD
+        said += describe_departures(MODEL, fitted(CLEAN + walk), False, ())
+    assert not any("one line" in x for x in said)

@@ -6,8 +6,8 @@ With e the whitened misses of a fit and X their slopes by parameters:
     noise that grows      e ~ N(0, a + b h^2),    h a reading from its mean, or from zero, over
                                                   its deviation; or its rate of change (jitter)
     heavy tails           e ~ s t_nu,             Student's t with nu degrees of freedom
-    a line                one frequency that holds a quarter of the power of e, and little of any
-                          input's
+    a line                one frequency that holds a tenth of the power of e and stands out from
+                          those around it, and holds little of any input's
 
 They are reported where twice their gain in log-likelihood is above 20. A drift must also pass by
 sums of the misses over blocks, and change its parameter by more than half a percent. The shape of
@@ -47,7 +47,8 @@ _ZERO = 2.0  # standard errors within which a value is not told from zero
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _HALF = 0.5  # share of what is missed from which a converter's steps are told
 _FEWEST = 64  # samples
-_LINE = 0.25  # share of the power of what is missed that a line holds, half its amplitude
+_LINE = 0.1  # share of the power of what is missed that a line holds: what counts of an effect
+_STANDS_OUT, _AROUND = 30.0, 20  # a line over the median of so many frequencies on either side
 _UNDRIVEN = 0.05  # share of an input's power at a line, under which the line is not the input's
 _PERIODS = 3  # of a line in a record, at least: slower ones are no line yet
 
@@ -287,11 +288,19 @@ def _line_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
     r = int(np.argmax([task.series.samples for task, _ in estimate.prepared]))
     task, part = estimate.prepared[r][0], estimate.predictions[r]
     given = _power_shares(sample_inputs(task.inputs, task.series.substeps))
+    missed = _power_shares(part.whitened)
     said = []
     for j, channel in enumerate(task.compiled.traced.channels):
-        shares = _power_shares(part.whitened[:, j : j + 1])[:, 0]
-        top = int(np.argmax(shares))
-        if shares[top] < _LINE or np.any(given[top] > _UNDRIVEN):
+        shares = np.convolve(missed[:, j], np.ones(5), "same")  # of a line between two frequencies
+        top = int(np.argmax(missed[:, j]))
+        below = missed[max(top - _AROUND, _PERIODS) : max(top - 2, 0), j]
+        above = missed[top + 3 : top + _AROUND, j]
+        driven = given[max(top - 1, 0) : top + 2].sum(axis=0)
+        stands_out = all(
+            len(side) > 2 and missed[top, j] > _STANDS_OUT * np.median(side)
+            for side in (below, above)
+        )
+        if not stands_out or shares[top] < _LINE or np.any(driven > _UNDRIVEN):
             continue
         hertz = top / (task.series.dt * len(part.whitened))
         said.append(
@@ -303,17 +312,11 @@ def _line_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
 
 
 def _power_shares(series: Array) -> Array:
-    """(frequencies, columns) share of each column's power around every frequency of its spectrum.
-
-    A line between two frequencies is in both and their neighbours; slow ones are left out.
-    """
+    """(frequencies, columns) share of each column's power at every frequency; slow ones at zero."""
     level = series - series.mean(axis=0)
     power = np.abs(np.fft.rfft(level * np.hanning(len(level))[:, None], axis=0)) ** 2
     power[:_PERIODS] = 0.0
-    around = power.copy()
-    around[1:] += power[:-1]
-    around[:-1] += power[1:]
-    return around / np.maximum(power.sum(axis=0), np.finfo(float).tiny)
+    return power / np.maximum(power.sum(axis=0), np.finfo(float).tiny)
 
 
 def _converter_remarks(model: Model, estimate: MaximumLikelihood) -> Iterator[str]:
