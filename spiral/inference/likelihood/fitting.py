@@ -34,7 +34,7 @@ from spiral.types.noise import FORCES
 from spiral.types.record import Array
 
 LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by so much of a rate
-_USUAL, _PATIENT = 40, 200  # scoring steps of a rough fit, and of one to the very maximum, at most
+_USUAL, _PATIENT = 40, 100  # scoring steps of a rough fit, and of one to the very maximum, at most
 WARM = 6  # scoring steps of a fit on some blocks that starts from a fit of all samples
 _LEAST = 1.5  # times its lower limit, up to which the size of a random force counts as none
 LITTLE = 0.05  # random force up to which it is small, as a share of the model's own
