@@ -208,6 +208,7 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
     assert "No planned test reaches 95%" in told  # one effect under two names
     assert "cubic_stiffness" not in told
     assert "plan." not in told  # settings of the command line are a field here
+    tab.wait_for_selector("button:has-text('Plan again'):enabled")  # drawn anew as the plan ends
     tab.fill("input[aria-label='Lengths to try, s']", "0")
     tab.click("button:has-text('Plan again'):enabled")
     tab.click(".q-notification:has-text('numbers above zero') button:has-text('Close')")
