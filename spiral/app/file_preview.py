@@ -151,9 +151,10 @@ def _describe_systems(plugins: str | None) -> list[dict[str, Any]]:
     from spiral.io.system_files import PLUGINS
 
     registry = load_registry(plugins)
-    plugins_by_name = {n: registry.entry("system", n).plugin for n in registry.names("system")}
-    shown = [n for n, plugin in plugins_by_name.items()
-             if n not in PLUGINS.values() and not hasattr(plugin, "function")]  # fmt: skip
+    shown = [
+        n for n in registry.names("system")
+        if n not in PLUGINS.values() and not hasattr(registry.entry("system", n).plugin, "function")
+    ]  # fmt: skip
     return [_describe_system(registry.make("system", n), n) for n in shown]
 
 

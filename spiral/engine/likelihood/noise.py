@@ -48,7 +48,7 @@ _LEVEL = 1e-5  # least level of a force
 OWN = 1.0  # its largest: beside a random force above the machine's own no term can be identified
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8
-"""Highest order of the low-pass of a ``band``."""
+"""Highest order of the low-pass of a ``band``, and most poles of a ``swell``."""
 _RINGING, _DEAD = 0.005, 0.2  # damping ratio of a vibration: beyond it is noise behind a low-pass
 _BROAD = 1.0  # largest damping ratio of a swell: its band is then as wide as its frequency
 
@@ -335,7 +335,6 @@ def _shaped_process(kind: Kind, order: int, ratio: float | None) -> tuple[Array,
         poles = np.real(np.poly(buttap(order)[1]))
     else:
         poles = np.array([1.0, 2.0 * ratio, 1.0])
-    order = len(poles) - 1
     rate = companion(poles)[::-1, ::-1]  # z, z', ...: the last row holds the coefficients
     drive = np.zeros((order, order))
     drive[-1, -1] = 1.0

@@ -89,7 +89,7 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
         if not best:
             break
         fits = _continue_with_each(assembly, fit, best)
-        fit = max(fits, key=lambda f: _worth_beside(f.estimate, fit.estimate))
+        fit = max(fits, key=lambda f: worth_beside(f.estimate, fit.estimate))
     if fit.estimate.finite and not is_white(assembly, fit):
         apart = _best_noise_model(fit.estimate, list(_separate_forces(fit.estimate)))
         fit = fit if apart is None else continue_fit(assembly, fit, apart.noise, rough=True)
@@ -125,7 +125,7 @@ def reselect_noise_model(
     progress("selecting the noise model anew")
     again = select_noise_model(assembly, continue_fit(assembly, fit, white, rough=True), progress)
     decisive = float(np.log(DECISIVE_ODDS))
-    return again if _worth_beside(again.estimate, fit.estimate) > decisive else fit
+    return again if worth_beside(again.estimate, fit.estimate) > decisive else fit
 
 
 def _select_force_location(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
@@ -283,7 +283,7 @@ def _likeliest_of_each_kind(at: MaximumLikelihood, looks: Sequence[_TermTrial]) 
     return [b.noise for b in best if b is not None]
 
 
-def _worth_beside(trial: MaximumLikelihood, at: MaximumLikelihood) -> float:
+def worth_beside(trial: MaximumLikelihood, at: MaximumLikelihood) -> float:
     """Log-likelihood that a fit gains over ``at``, less the penalty of what its noise has more."""
     if not trial.finite:
         return -np.inf
@@ -301,8 +301,8 @@ def _best_noise_model(
         steep = any(noise.has_kind(k) > at.noise.has_kind(k) for k in FILTERED)  # may get steeper
         trial = tune_noise(at.prepared, noise, -np.inf if steep else enough)
         trial = raise_filter_order(trial) if steep else trial
-        if _worth_beside(trial, at) > worth:
-            chosen, worth = trial, _worth_beside(trial, at)
+        if worth_beside(trial, at) > worth:
+            chosen, worth = trial, worth_beside(trial, at)
     return None if chosen is None else raise_filter_order(chosen)
 
 
@@ -329,22 +329,18 @@ def raise_filter_order(at: MaximumLikelihood) -> MaximumLikelihood:
     sample much more certain, which a random force would explain otherwise. So does a band whose
     edges are steep, as of a shaker or of waves.
     """
-    while at.finite and (band := [t for t in at.noise.terms if t.kind in FILTERED]):
-        order = band[0].order + 2
-        states = order * sum(_processes(at.prepared[0][0], t) for t in band)
-        if order > STEEPEST or (band[0].kind == "swell" and states > _MOST_STEEP):
-            break
-        terms = tuple(replace(t, order=order) if t in band else t for t in at.noise.terms)
-        more = tune_noise(at.prepared, replace(at.noise, terms=terms))
-        if not (more.finite and more.log_likelihood > at.log_likelihood + np.log(DECISIVE_ODDS)):
-            break
-        at = more
+    for kind in FILTERED:
+        while at.finite and (filtered := [t for t in at.noise.terms if t.kind == kind]):
+            order, task = filtered[0].order + 2, at.prepared[0][0]
+            pushed = sum(len(driven_states(task, t.where)) for t in filtered if kind in FORCES)
+            if order > STEEPEST or order * pushed > _MOST_STEEP:
+                break
+            terms = tuple(replace(t, order=order) if t in filtered else t for t in at.noise.terms)
+            more = tune_noise(at.prepared, replace(at.noise, terms=terms))
+            if not more.log_likelihood > at.log_likelihood + np.log(DECISIVE_ODDS):
+                break
+            at = more
     return at
-
-
-def _processes(task: FilterInput, term: NoiseTerm) -> int:
-    """How many processes of its own a noise term has: one for each state that it pushes."""
-    return len(driven_states(task, term.where)) if term.kind in FORCES else 1
 
 
 def _liveliest_part(at: MaximumLikelihood) -> FilterInputs:

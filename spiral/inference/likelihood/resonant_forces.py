@@ -18,19 +18,13 @@ from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
 from spiral.engine.likelihood.predict import log_likelihood, predict_cases
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.likelihood.fitting import (
-    LikelihoodFit,
-    continue_fit,
-    is_white,
-    largest_force,
-    schwarz_penalty,
-)
+from spiral.inference.likelihood.fitting import LikelihoodFit, is_white
 from spiral.inference.likelihood.noise_selection import (
     raise_filter_order,
     shared_groups,
     small_groups,
-    tune_noise,
 )
+from spiral.inference.likelihood.smaller_forces import fit_beside_small_forces, likeliest_noises
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.types.noise import COLOURED, CORRELATED
 
@@ -38,7 +32,6 @@ _FREQUENCIES = 10  # to begin with, from two periods in the record to a fifth of
 _SIZES = (0.01, 0.05)  # to begin with, shares of the rate's deviation
 _DAMPING = 0.3
 _TUNED = 3  # starts that are tuned, the likeliest ones
-_FITTED = 2  # of which so many are fitted together with the parameters
 
 
 def add_resonant_force(
@@ -51,25 +44,16 @@ def add_resonant_force(
     larger with it than ``settings.random_limit``. Nothing where misses are white already, or where
     it is not taken.
     """
-    at, limit = fit.estimate, assembly.problem.settings.random_limit
+    at = fit.estimate
     if not at.finite or at.noise.has_kind("swell") or is_white(assembly, fit):
         return None
     progress("trying a random force around a frequency")
     starts = list(_resonant_force_models(at))
     heights = [log_likelihood(p) for p in predict_cases([(at.prepared, n) for n in starts])]
     first = [starts[i] for i in np.argsort(heights)[::-1][:_TUNED]]
-    looks = sorted((tune_noise(at.prepared, n) for n in first), key=lambda m: -m.log_likelihood)
-    best: LikelihoodFit | None = None
-    for look in map(raise_filter_order, looks[:_FITTED]):
-        trial = continue_fit(assembly, fit, look.noise, rough=True) if look.finite else fit
-        more = schwarz_penalty(len(trial.estimate.noise.names) - len(at.noise.names), at.prepared)
-        likelier = trial.log_likelihood - more > fit.log_likelihood + np.log(DECISIVE_ODDS)
-        small = largest_force(trial.estimate.noise) <= limit
-        if not (likelier and small):
-            continue
-        if best is None or trial.log_likelihood > best.log_likelihood:
-            best = trial
-    return best
+    steep = map(raise_filter_order, likeliest_noises(at.prepared, first))
+    fits = fit_beside_small_forces(assembly, fit, steep, float(np.log(DECISIVE_ODDS)))
+    return max(fits, key=lambda f: f.log_likelihood, default=None)
 
 
 def _resonant_force_models(at: MaximumLikelihood) -> Iterator[NoiseModel]:

@@ -8,25 +8,27 @@ second is small; so where a fit ends with a force that is no explanation, the se
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.task import FilterInput
+from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
+from spiral.engine.likelihood.predict import FilterInputs
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     continue_fit,
     is_white,
     largest_force,
-    schwarz_penalty,
 )
 from spiral.inference.likelihood.noise_selection import (
     initial_gust_sizes,
     shared_groups,
     tune_noise,
+    worth_beside,
 )
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.types.noise import CORRELATED
@@ -48,18 +50,34 @@ def replace_large_forces(
         return None
     progress("trying a smaller, correlated random force")
     noises = list(_small_force_models(at.prepared[0][0], at.noise, limit))
-    looks = sorted((tune_noise(at.prepared, n) for n in noises), key=lambda m: -m.log_likelihood)
-    best: LikelihoodFit | None = None
-    for look in looks[:_FITTED]:
-        trial = continue_fit(assembly, fit, look.noise, rough=True) if look.finite else fit
-        more = schwarz_penalty(len(trial.estimate.noise.names) - len(at.noise.names), at.prepared)
-        likely = trial.log_likelihood - more > fit.log_likelihood - np.log(DECISIVE_ODDS)
-        small = largest_force(trial.estimate.noise) <= limit
-        if not (likely and small and is_white(assembly, trial)):
-            continue
-        if best is None or trial.log_likelihood > best.log_likelihood:
-            best = trial
-    return best
+    looks = likeliest_noises(at.prepared, noises)
+    fits = fit_beside_small_forces(assembly, fit, looks, -float(np.log(DECISIVE_ODDS)))
+    white = [f for f in fits if is_white(assembly, f)]
+    return max(white, key=lambda f: f.log_likelihood, default=None)
+
+
+def likeliest_noises(
+    prepared: FilterInputs, noises: Iterable[NoiseModel]
+) -> list[MaximumLikelihood]:
+    """The ``_FITTED`` likeliest of several noise models, each tuned alone."""
+    looks = sorted((tune_noise(prepared, n) for n in noises), key=lambda m: -m.log_likelihood)
+    return looks[:_FITTED]
+
+
+def fit_beside_small_forces(
+    assembly: Assembly, fit: LikelihoodFit, looks: Iterable[MaximumLikelihood], least: float
+) -> list[LikelihoodFit]:
+    """The fit continued with each of several noise models, where these have small forces.
+
+    No force may end above ``settings.random_limit``. ``least`` : log-likelihood that a fit has to
+    gain over the one given, all numbers paid for.
+    """
+    at, limit = fit.estimate, assembly.problem.settings.random_limit
+    fits = (continue_fit(assembly, fit, k.noise, rough=True) for k in looks if k.finite)
+    return [
+        f for f in fits
+        if worth_beside(f.estimate, at) > least and largest_force(f.estimate.noise) <= limit
+    ]  # fmt: skip
 
 
 def _small_force_models(task: FilterInput, noise: NoiseModel, limit: float) -> Iterator[NoiseModel]:
