@@ -20,7 +20,7 @@ SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is t
 
 _MOST_PIECES = 60
 MOST_SUBSTEPS = 32
-_MOST_STABLE = 512  # the same where a mode would else be unstable
+MOST_STABLE = 512  # the same where a mode would else be unstable
 _ADVANCE = 0.3  # rad, largest advance of a mode per integration step
 _STABLE_ADVANCE = 1.0  # the same of modes that need be stable only
 _LARGEST_ADVANCE = 2.0  # the same beyond ``MOST_SUBSTEPS``
@@ -219,7 +219,7 @@ def stable_steps(eigenvalues: Array, dt: float) -> int:
     """Runge-Kutta steps per sample without which a mode that decays or swings would grow."""
     swings = np.real(eigenvalues) <= 0
     fastest = np.max(np.abs(eigenvalues), where=swings, initial=0.0) * dt
-    return int(np.clip(np.ceil(fastest / _LARGEST_ADVANCE), 1, _MOST_STABLE))
+    return int(np.clip(np.ceil(fastest / _LARGEST_ADVANCE), 1, MOST_STABLE))
 
 
 def stage_inputs(system: System, record: Record, substeps: int) -> Array:

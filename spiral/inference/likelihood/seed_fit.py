@@ -27,8 +27,8 @@ import numpy as np
 
 from spiral.engine.filter.task import resting_first_state
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, size_limits
-from spiral.engine.likelihood.predict import predict_cases
-from spiral.engine.series import MOST_SUBSTEPS
+from spiral.engine.likelihood.predict import log_likelihood, predict_cases
+from spiral.engine.series import MOST_STABLE, MOST_SUBSTEPS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
@@ -245,17 +245,44 @@ def sensor_noise_only(fit: LikelihoodFit) -> NoiseModel:
 
 
 def refit_on_finer_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
-    """The fit on finer integration steps, where its motion requires them."""
+    """The fit on finer integration steps, where its motion or the likelihood wants them.
+
+    Its fastest mode along the motion wants steps of some length. What is passed between samples (a
+    friction's width) may want shorter ones: steps are halved as long as that alone, with the same
+    values, makes the records likelier. What coarse steps do wrong is otherwise taken for noise.
+    """
     if not fit.estimate.finite:
         return fit
     wanted = required_substeps(fit)
-    if wanted <= fit.estimate.prepared[0][0].series.substeps:
-        return fit
-    finer_state = replace(fit.state, substeps=wanted)
+    if wanted > fit.estimate.prepared[0][0].series.substeps:
+        fit = _refit_with_steps(assembly, fit, wanted)
+    while (halved := _likelier_steps(assembly, fit)) is not None:
+        again = _refit_with_steps(assembly, fit, halved)
+        if not again.log_likelihood > fit.log_likelihood:
+            break
+        fit = again
+    return fit
+
+
+def _refit_with_steps(assembly: Assembly, fit: LikelihoodFit, substeps: int) -> LikelihoodFit:
+    """The fit continued with so many integration steps per sample, where it stays finite."""
+    finer_state = replace(fit.state, substeps=substeps)
     again = fit_by_likelihood(assembly, finer_state, rough=True)
     if not again.estimate.finite:  # sizes of its noise may mean something else: on the same scales
         again = fit_by_likelihood(assembly, finer_state, rough=True, like=fit.estimate.prepared)
     return again if again.estimate.finite else fit
+
+
+def _likelier_steps(assembly: Assembly, fit: LikelihoodFit) -> int | None:
+    """Twice the integration steps of a fit, where its own values are likelier with them."""
+    at = fit.estimate
+    steps = 2 * at.prepared[0][0].series.substeps
+    if steps > MOST_STABLE:
+        return None
+    finer = prepare_filter_tasks(assembly, replace(fit.state, substeps=steps), at.prepared)
+    trial = predict_cases([(finer, at.noise)])[0]
+    whole = all(p.whole for p in trial)
+    return steps if whole and log_likelihood(trial) > fit.log_likelihood + WORTH else None
 
 
 def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:

@@ -308,7 +308,7 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
     Where its misses are white it is taken to its very maximum, since the model may be the last, and
     its integration steps are refined, but where a force above ``settings.random_limit`` acts.
     """
-    fit = select_noise_model(assembly, fit, progress)
+    fit = select_noise_model(assembly, refit_on_finer_steps(assembly, fit), progress)
     fit = restart_from_given_values(assembly, fit, progress)
     fit = restart_from_sensor_noise(assembly, fit, progress)
     fit = restart_vanished_noise(assembly, fit)
