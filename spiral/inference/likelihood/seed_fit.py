@@ -264,6 +264,14 @@ def refit_on_finer_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFi
     return fit
 
 
+def without_noise_of_steps(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """The fit on finer steps where it wants them, without noise that made up for coarse ones."""
+    finer = refit_on_finer_steps(assembly, fit)
+    return fit if finer is fit else drop_needless_noise(assembly, finer, progress)
+
+
 def _refit_with_steps(assembly: Assembly, fit: LikelihoodFit, substeps: int) -> LikelihoodFit:
     """The fit continued with so many integration steps per sample, where it stays finite."""
     finer_state = replace(fit.state, substeps=substeps)

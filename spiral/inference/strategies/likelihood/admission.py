@@ -1,8 +1,7 @@
 """Three tests that a candidate must pass before it is admitted to the model.
 
 1. *Confirmed.* It must predict the blocks that did not select it (``judging``).
-2. *Fitted.* The model with it takes its most likely values, with the noise that its record wants;
-   effects that it makes superfluous go.
+2. *Fitted.* The model takes its most likely values, with the noise that its record wants.
 3. *Of use.* No error on unseen data may grow, at any horizon, and one must fall by a size that
    counts.
 """
@@ -60,6 +59,7 @@ from spiral.inference.likelihood.seed_fit import (
     restart_from_given_values,
     restart_from_sensor_drift,
     restart_from_sensor_noise,
+    without_noise_of_steps,
 )
 from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
@@ -308,7 +308,7 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
     Where its misses are white it is taken to its very maximum, since the model may be the last, and
     its integration steps are refined, but where a force above ``settings.random_limit`` acts.
     """
-    fit = select_noise_model(assembly, refit_on_finer_steps(assembly, fit), progress)
+    fit = select_noise_model(assembly, without_noise_of_steps(assembly, fit, progress), progress)
     fit = restart_from_given_values(assembly, fit, progress)
     fit = restart_from_sensor_noise(assembly, fit, progress)
     fit = restart_vanished_noise(assembly, fit)
