@@ -280,7 +280,11 @@ def _run_single(request: Request, target: str | None) -> int:
         def on_round(finished_round: Any) -> None:
             parts.announce_round(finished_round, tell)
 
-        outcome = perform(request, tell, on_round)
+        def so_far(result: dict[str, Any]) -> None:
+            if target != "-":  # a file has what is known, should the study be stopped
+                _write_json(result, target)
+
+        outcome = perform(request, tell, on_round, so_far)
     _write_json(outcome.result, target)
     if target != "-":
         from spiral.view.terminal import estimate, plan, plugins, study

@@ -13,11 +13,13 @@ from spiral.io.request import BAD_INPUT, Outcome, Request, compose_request
 from spiral.types.errors import ConfigError, SpiralError
 
 if TYPE_CHECKING:
-    from spiral.commands.study import OnRound, Tell
+    from spiral.commands.study import OnRound, SoFar, Tell
 
 
-def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Outcome:
-    """Carry out one request.
+def perform(
+    request: Request, tell: Tell, on_round: OnRound | None = None, so_far: SoFar | None = None
+) -> Outcome:
+    """Carry out one request; ``so_far`` is given what a study knows while it goes on.
 
     Raises
     ------
@@ -58,7 +60,7 @@ def perform(request: Request, tell: Tell, on_round: OnRound | None = None) -> Ou
             f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
         )
     tell("reading the records")
-    asked = study.Command(request, config, registry, tell, on_round)
+    asked = study.Command(request, config, registry, tell, on_round, so_far)
     return report.run_and_save_curves(asked, steps[request.verb])
 
 

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 
 OnRound = Callable[["Round"], None]
-
-
+"""Told of a round once its candidates are ranked."""
+SoFar = Callable[[dict[str, Any]], None]
+"""Given what a study knows, as plain data, whenever it knows more."""
 Tell = Callable[[str], None]
 
 
@@ -42,6 +43,7 @@ class Command:
     registry: Registry
     tell: Tell
     on_round: OnRound | None
+    so_far: SoFar | None = None
 
     def problem(self) -> Problem:
         """Records loaded, test kept apart."""
@@ -87,13 +89,38 @@ def _run_discovery_loop(study: Command, problem: Problem) -> Run:
         last = kept.read_last()
         if last is not None:
             study.tell(f"taking up this study, left unfinished in round {len(last.rounds)}")
+
+        def keep(at: Checkpoint) -> None:
+            kept.write(at)
+            if study.so_far is not None:
+                study.so_far(_unfinished_result(at, problem))
+
         try:
-            run = discover(problem, study.tell, study.on_round, kept.write, last)
+            run = discover(problem, study.tell, study.on_round, keep, last)
         except (KeyboardInterrupt, SystemExit):  # Ctrl-C, SIGTERM
             _tell_what_is_known(kept.read_last(), problem)
             raise
         kept.remove()
     return run
+
+
+def _unfinished_result(at: Checkpoint, problem: Problem) -> dict[str, Any]:
+    """What a study knows that has not ended, as plain data; its error says so."""
+    from spiral.inference.verdict import interrupted_summary
+    from spiral.types.errors import InputError
+    from spiral.types.model import estimates_dict
+
+    error = InputError(
+        f"a study that was stopped after round {len(at.rounds) - 1}",
+        "time for it to end",
+        "the same command, which goes on from there",
+    )
+    return {
+        "error": error.as_dict(),
+        "summary": interrupted_summary(at.rounds, problem.settings),
+        "rounds": [r.as_dict() for r in at.rounds],
+        "model": estimates_dict(at.rounds[-1].comparison.model),
+    }
 
 
 def _tell_what_is_known(last: Checkpoint | None, problem: Problem) -> None:

@@ -128,7 +128,7 @@ def test_a_signal_leaves_the_checkpoint_and_no_lock(tmp_path):
     os.utime(left / "0123456789.lock", (0, 0))
     words = [*GIVEN, "tracking.enabled=false"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "spiral", "discover", *words],
+        [sys.executable, "-m", "spiral", "discover", *words, "--json", "result.json"],
         cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     _wait(lambda: _rounds_kept(tmp_path) >= 1, process)
@@ -140,6 +140,10 @@ def test_a_signal_leaves_the_checkpoint_and_no_lock(tmp_path):
     assert process.returncode == 128 + signal.SIGTERM
     assert _rounds_kept(tmp_path) >= 1
     assert not list(left.glob("*.lock"))
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["error"]["given"].startswith("a study that was stopped after round ")
+    assert result["summary"]
+    assert len(result["rounds"]) == _rounds_kept(tmp_path)
 
 
 def _rounds_kept(folder):
