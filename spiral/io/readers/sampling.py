@@ -129,12 +129,16 @@ def _check_gaps(series: FileSeries, key: str, gaps: list[tuple[int, int]], longe
             )
 
 
+def _samples(count: int) -> str:
+    return f"{count} sample" if count == 1 else f"{count} samples"
+
+
 def _long_gap_error(
     series: FileSeries, what: str, count: int, row: int, at: float, longest: int
 ) -> InputError:
     return InputError(
-        f"{series.name}: a gap of {count} samples in {what} at {at:.6g} s (row {row})",
-        f"gaps of at most {longest} samples (record.fill_gaps={longest})",
+        f"{series.name}: a gap of {_samples(count)} in {what} at {at:.6g} s (row {row})",
+        f"gaps of at most {_samples(longest)} (record.fill_gaps={longest})",
         "cut the record there with record.rows, or give its parts as several records",
     )
 
