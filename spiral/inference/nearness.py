@@ -181,6 +181,16 @@ def is_free_run_carried_away(comparison: Comparison) -> bool:
     return comparison.random is not None and not _random_spread(comparison) < 1.0
 
 
+def is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:
+    """Whether a random force, and no noise of the sensors, makes most of a free run's error.
+
+    What acts at random and what a parameter that varies would do look alike one sample ahead, and
+    beside a force that lasts a missing effect makes little more likely.
+    """
+    noise = settings.chi2_limit * comparison.noise_floor**2
+    return bool(random_forces(comparison)) and comparison.test_error**2 > noise
+
+
 def next_sample_error(comparison: Comparison) -> float | None:
     """The error on unseen data one sample ahead; nothing where there are none."""
     return next((h.error for h in comparison.unseen if h.samples == 1), None)

@@ -22,7 +22,6 @@ import numpy as np
 
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.predict import total_log_likelihood
-from spiral.inference.disturbances import random_forces
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
@@ -39,8 +38,8 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.noise_selection import select_noise_model
 from spiral.inference.likelihood.scores import rank_variants
-from spiral.inference.nearness import is_near_noise
-from spiral.inference.problem import Progress, Settings
+from spiral.inference.nearness import is_moved_at_random, is_near_noise
+from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
@@ -103,7 +102,7 @@ def find_named_law(
     gone = stand_in_labels(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
     several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
-    moved = _is_moved_at_random(comparison, assembly.problem.settings)
+    moved = is_moved_at_random(comparison, assembly.problem.settings)
     unsure = undetermined_among(assembly, gone, comparison)
     if (white and not (several or aided or moved or unsure)) or not options.laws:
         return None
@@ -117,15 +116,6 @@ def find_named_law(
         if law is not None:
             return law
     return None
-
-
-def _is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:
-    """Whether a random force, and no noise of the sensors, makes most of a free run's error.
-
-    What acts at random and what a parameter that varies would do look alike one sample ahead.
-    """
-    noise = settings.chi2_limit * comparison.noise_floor**2
-    return bool(random_forces(comparison)) and comparison.test_error**2 > noise
 
 
 def promising_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> tuple[Effect, ...]:
