@@ -54,14 +54,18 @@ def perform(
     if request.verb == "simulate":
         return study.simulate(request, config, registry)
     if request.names and request.verb not in ("add", "plan"):
-        raise ConfigError(
-            f"{request.verb} {' '.join(request.names)}",
-            f"{request.verb} with overrides KEY=VALUE",
-            f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
-        )
+        raise _needless_names_error(request)
     tell("reading the records")
     asked = study.Command(request, config, registry, tell, on_round, so_far)
     return report.run_and_save_curves(asked, steps[request.verb])
+
+
+def _needless_names_error(request: Request) -> ConfigError:
+    return ConfigError(
+        f"{request.verb} {' '.join(request.names)}",
+        f"{request.verb} with overrides KEY=VALUE",
+        f"spiral add {request.names[0]}, or effect=[{request.names[0]}]",
+    )
 
 
 def perform_sweep_job(
