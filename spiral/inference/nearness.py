@@ -191,6 +191,18 @@ def is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:
     return bool(random_forces(comparison)) and comparison.test_error**2 > noise
 
 
+def may_noise_stand_in(comparison: Comparison, settings: Settings) -> bool:
+    """Whether noise beside the model may do the work of what is missing.
+
+    The model leaves more than noise; what acts at random carries its free run away from the record;
+    or noise of the sensors is mostly of another kind than white, as what rings or drifts is.
+    """
+    most = 0.5 * comparison.noise_floor**2
+    coloured = any(share**2 > most for share in coloured_noise(comparison).values())
+    moved = is_moved_at_random(comparison, settings)
+    return coloured or moved or not is_near_noise(comparison, settings)
+
+
 def next_sample_error(comparison: Comparison) -> float | None:
     """The error on unseen data one sample ahead; nothing where there are none."""
     return next((h.error for h in comparison.unseen if h.samples == 1), None)

@@ -41,7 +41,7 @@ from spiral.inference.likelihood.interpolation import (
 from spiral.inference.likelihood.noise_selection import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import suggestions
-from spiral.inference.nearness import is_moved_at_random, is_near_noise
+from spiral.inference.nearness import is_near_noise, may_noise_stand_in
 from spiral.inference.problem import Progress, ScoreMessage, Settings, silent
 from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
 from spiral.inference.strategies.likelihood.admission import (
@@ -105,7 +105,7 @@ def propose(
     helps = benefit_objection(options, comparison, assembly.problem.settings)
     race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
     quiet = functools.cache(lambda: rivals_beside_less_noise(assembly, base, masks[0], progress))
-    if _may_noise_stand_in(comparison, assembly.problem.settings):
+    if may_noise_stand_in(comparison, assembly.problem.settings):
         race = race.with_more_rivals(quiet())
     outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
     passed, tried = outcome.admitted, race.tried
@@ -126,14 +126,6 @@ def propose(
     return _step_without_candidate(
         options, assembly, state, base, step, comparison, masks, level, number, progress
     )
-
-
-def _may_noise_stand_in(comparison: Comparison, settings: Settings) -> bool:
-    """Whether noise beside the model may do the work of what is missing.
-
-    It leaves more than noise, or what acts at random carries its free run away from the record.
-    """
-    return is_moved_at_random(comparison, settings) or not is_near_noise(comparison, settings)
 
 
 def _step_without_candidate(
