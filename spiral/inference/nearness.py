@@ -194,13 +194,13 @@ def is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:
 def may_noise_stand_in(comparison: Comparison, settings: Settings) -> bool:
     """Whether noise beside the model may do the work of what is missing.
 
-    The model leaves more than noise; what acts at random carries its free run away from the record;
-    or noise of the sensors is mostly of another kind than white, as what rings or drifts is.
+    Noise of a sensor is mostly of another kind than white, as what rings or drifts is; or misses
+    are white with a random force that carries the model's free run away from the record.
     """
     most = 0.5 * comparison.noise_floor**2
     coloured = any(share**2 > most for share in coloured_noise(comparison).values())
-    moved = is_moved_at_random(comparison, settings)
-    return coloured or moved or not is_near_noise(comparison, settings)
+    white = comparison.whiteness_p >= settings.whiteness_level
+    return coloured or (white and is_moved_at_random(comparison, settings))
 
 
 def next_sample_error(comparison: Comparison) -> float | None:

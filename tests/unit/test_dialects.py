@@ -21,6 +21,13 @@ ROTOR = REGISTRY.make("system", "planar_rotor")
 COUNT = 100
 RNG = np.random.default_rng(0)
 VALUES = {"t": 0.01 * np.arange(COUNT), "a": RNG.normal(size=COUNT), "f": RNG.normal(size=COUNT)}
+_PRIMES = """
+equations: m*x'' + k*x = F
+states: {x: m}
+inputs: {F: N}
+parameters: {m: 1 kg, k: 1 N/m}
+observed: [x', x'']
+"""
 SPACED = st.sampled_from(["", " "])
 
 
@@ -128,6 +135,15 @@ def test_a_unit_behind_a_name_does_not_hide_it(tmp_path):
     assert record.dt == pytest.approx(0.01)
     np.testing.assert_allclose(record.channels["x"], VALUES["a"])
     np.testing.assert_allclose(record.inputs["force"], VALUES["f"])
+
+
+def test_rates_may_be_named_as_equations_write_them(tmp_path):
+    system = REGISTRY.make("system", "equations", {"text": _PRIMES})
+    values = {"t": VALUES["t"], "x'": VALUES["a"], "x'' (mm/s^2)": VALUES["a"], "F": VALUES["f"]}
+    path = write(tmp_path, text(names=list(values), values=values))
+    (record,) = REGISTRY.make("source", "csv", {"path": path}, "record").load(system)
+    np.testing.assert_allclose(record.channels["x_rate"], VALUES["a"])
+    np.testing.assert_allclose(record.channels["x_acceleration"], 1e-3 * VALUES["a"])
 
 
 def test_brackets_that_hold_no_unit_are_part_of_a_name():

@@ -90,11 +90,18 @@ class Table:
         return tuple(self.values)
 
     def find_column(self, name: str) -> str:
-        """The column of this name, with or without its unit behind it (``force [N]``), or none."""
-        if name in self.values:
-            return name
-        named = re.compile(rf"{re.escape(name)}\s*[\[(][^][()]*[\])]\s*")
-        return next((c for c in self.values if c in self.units and named.fullmatch(c)), "")
+        """The column of this name, with or without its unit behind it (``force [N]``), or none.
+
+        ``x_rate`` and ``x_acceleration`` may stand as equations write them, ``x'`` and ``x''``.
+        """
+        for word in filter(None, (name, _with_primes(name))):
+            if word in self.values:
+                return word
+            named = re.compile(rf"{re.escape(word)}\s*[\[(][^][()]*[\])]\s*")
+            fitting = (c for c in self.values if c in self.units and named.fullmatch(c))
+            if (column := next(fitting, "")) != "":
+                return column
+        return ""
 
     def starred_numbers(self, starred: str) -> list[str]:
         """Numbers that the star in a column's name may stand for, in their order.
@@ -186,6 +193,14 @@ class Table:
             if " " not in option
             else "name one of these columns",
         )
+
+
+def _with_primes(name: str) -> str:
+    """A rate or an acceleration as equations write it; empty for other names."""
+    for ending, primes in (("_rate", "'"), ("_acceleration", "''")):
+        if name.endswith(ending):
+            return name.removesuffix(ending) + primes
+    return ""
 
 
 def _parse_numbers(values: Any, decimal: str) -> tuple[Array, Array]:
