@@ -10,7 +10,7 @@ pytest.importorskip("jupytext", reason="jupytext is in the dev extra")
 
 DOCS = Path(__file__).parents[2] / "docs"
 SAID = {
-    "own_file": ["Missing were cubic_stiffness, coulomb_friction", "States of oscillator"],
+    "own_file": ["Missing were ", "cubic_stiffness", "coulomb_friction", "States of oscillator"],
     "own_system": ["Missing was fading_friction", "States of carriage", "grip"],
     "rotor": ["cross_stiffness, cubic_stiffness, gyroscopic", "What is left is white noise"],
 }
