@@ -107,16 +107,14 @@ def _run_discovery_loop(study: Command, problem: Problem) -> Run:
 def _unfinished_result(at: Checkpoint, problem: Problem) -> dict[str, Any]:
     """What a study knows that has not ended, as plain data; its error says so."""
     from spiral.inference.verdict import interrupted_summary
-    from spiral.types.errors import InputError
     from spiral.types.model import estimates_dict
 
-    error = InputError(
-        f"a study that was stopped after round {len(at.rounds) - 1}",
-        "time for it to end",
-        "the same command, which goes on from there",
-    )
     return {
-        "error": error.as_dict(),
+        "error": {
+            "given": f"a study that was stopped after round {len(at.rounds) - 1}",
+            "expected": "time for it to end",
+            "try": "the same command, which goes on from there",
+        },
         "summary": interrupted_summary(at.rounds, problem.settings),
         "rounds": [r.as_dict() for r in at.rounds],
         "model": estimates_dict(at.rounds[-1].comparison.model),

@@ -10,11 +10,20 @@ pytest.importorskip("jupytext", reason="jupytext is in the dev extra")
 
 DOCS = Path(__file__).parents[2] / "docs"
 SAID = {
-    "own_file": ["Missing were ", "cubic_stiffness", "coulomb_friction", "States of oscillator"],
+    "own_file": ["Missing were cubic_stiffness, coulomb_friction", "States of oscillator"],
     "own_system": ["Missing was fading_friction", "States of carriage", "grip"],
     "rotor": ["cross_stiffness, cubic_stiffness, gyroscopic", "What is left is white noise"],
 }
 """What stands among the outputs of each."""
+SHORT = {
+    "own_file": [
+        "Missing were coulomb_friction (or stribeck_friction: this record cannot tell them apart), "
+        "cubic_stiffness",
+        "States of oscillator",
+    ],
+    "own_system": SAID["own_system"],
+}
+"""The same on a shorter record."""
 
 
 def _notebooks():
@@ -38,7 +47,7 @@ def test_every_notebook_is_listed():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SAID)
 def test_a_notebook_runs(name):
-    _is_as_said(name, DOCS / "notebooks" / f"{name}.py")
+    _is_as_said(SAID[name], DOCS / "notebooks" / f"{name}.py")
 
 
 # The rotor has 14 000 samples and every candidate of the catalog: some 45 s of one core.
@@ -49,10 +58,10 @@ def test_a_notebook_runs_on_a_shorter_record(name, whole, part, tmp_path):
     text = (DOCS / "notebooks" / f"{name}.py").read_text(encoding="utf-8")
     assert whole in text
     (tmp_path / f"{name}.py").write_text(text.replace(whole, part), encoding="utf-8")
-    _is_as_said(name, tmp_path / f"{name}.py")
+    _is_as_said(SHORT[name], tmp_path / f"{name}.py")
 
 
-def _is_as_said(name, path):
+def _is_as_said(said, path):
     shown = "\n".join(_texts(_notebooks().run(path))).replace("\\_", "_")
-    for text in SAID[name]:
+    for text in said:
         assert text in shown

@@ -10,6 +10,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral.inference.advice import advice_for
 from spiral.inference.nearness import (
     is_near_noise,
+    may_noise_stand_in,
     noise_factor,
     shortfalls,
     unexplained_error_growth,
@@ -394,3 +395,14 @@ def test_a_slow_flow_beside_a_model_without_forces_may_be_a_state_that_it_lacks(
         assert "a state that the model lacks" not in verdict_sentence(
             "unknown_structure", other, SETTINGS
         )
+
+
+def test_noise_may_stand_in_where_it_carries_the_free_run_or_is_mostly_not_white():
+    carried = replace(GOOD, test_error=0.06, random={"gust.hidden": 0.014})
+    assert may_noise_stand_in(carried, SETTINGS)
+    assert not may_noise_stand_in(replace(carried, whiteness_p=0.0), SETTINGS)
+    assert not may_noise_stand_in(replace(GOOD, random={"gust.hidden": 0.014}), SETTINGS)
+    assert not may_noise_stand_in(replace(carried, random={}), SETTINGS)
+    ringing = replace(GOOD, random={"vibration.x": 0.018}, whiteness_p=0.0)
+    assert may_noise_stand_in(ringing, SETTINGS)
+    assert not may_noise_stand_in(replace(GOOD, random={"vibration.x": 0.01}), SETTINGS)

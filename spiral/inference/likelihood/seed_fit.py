@@ -27,7 +27,12 @@ import numpy as np
 
 from spiral.engine.filter.task import resting_first_state
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, size_limits
-from spiral.engine.likelihood.predict import log_likelihood, predict_cases
+from spiral.engine.likelihood.predict import (
+    FilterInputs,
+    Prediction,
+    log_likelihood,
+    predict_cases,
+)
 from spiral.engine.series import MOST_STABLE, MOST_SUBSTEPS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import last_stage
@@ -283,14 +288,25 @@ def _refit_with_steps(assembly: Assembly, fit: LikelihoodFit, substeps: int) -> 
 
 def _likelier_steps(assembly: Assembly, fit: LikelihoodFit) -> int | None:
     """Twice the integration steps of a fit, where its own values are likelier with them."""
-    at = fit.estimate
-    steps = 2 * at.prepared[0][0].series.substeps
-    if steps > MOST_STABLE:
-        return None
-    finer = prepare_filter_tasks(assembly, replace(fit.state, substeps=steps), at.prepared)
-    trial = predict_cases([(finer, at.noise)])[0]
-    whole = all(p.whole for p in trial)
-    return steps if whole and log_likelihood(trial) > fit.log_likelihood + WORTH else None
+    state, trial = _predict_on_halved_steps(assembly, fit, MOST_STABLE, fit.estimate.prepared)
+    likelier = log_likelihood(trial) > fit.log_likelihood + WORTH if trial else False
+    return state.substeps if likelier else None
+
+
+def _predict_on_halved_steps(
+    assembly: Assembly, fit: LikelihoodFit, most: int, like: FilterInputs | None = None
+) -> tuple[FitState, tuple[Prediction, ...]]:
+    """The state with steps of half the length, and the records predicted so at the same values.
+
+    No predictions where that are more than ``most`` steps per sample, or where the filter runs
+    away. ``like`` as in ``prepare_filter_tasks``.
+    """
+    steps = 2 * fit.estimate.prepared[0][0].series.substeps
+    state = replace(fit.state, substeps=steps)
+    if steps > most:
+        return state, ()
+    trial = predict_cases([(prepare_filter_tasks(assembly, state, like), fit.estimate.noise)])[0]
+    return state, trial if all(p.whole for p in trial) else ()
 
 
 def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
@@ -302,13 +318,8 @@ def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> Likeliho
     """
     while fit.estimate.finite and fit.estimate.keys:
         at, keys, solved = fit.estimate, fit.estimate.keys, fit.estimate.regression
-        steps = 2 * at.prepared[0][0].series.substeps
-        if solved is None or steps > MOST_SUBSTEPS:
-            break
-        state = replace(fit.state, substeps=steps)
-        finer_ones = prepare_filter_tasks(assembly, state)
-        trial = predict_cases([(finer_ones, at.noise)])[0]
-        if not all(p.whole for p in trial):
+        state, trial = _predict_on_halved_steps(assembly, fit, MOST_SUBSTEPS)
+        if solved is None or not trial:
             break
         inverse = solved.inverse[: len(keys)]
         pulled = sum(

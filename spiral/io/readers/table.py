@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from spiral.physics.formulas.observed import with_primes
 from spiral.types.errors import InputError, near_misses
 
 Array = np.ndarray
@@ -94,12 +95,12 @@ class Table:
 
         ``x_rate`` and ``x_acceleration`` may stand as equations write them, ``x'`` and ``x''``.
         """
-        for word in filter(None, (name, _with_primes(name))):
+        for word in filter(None, (name, with_primes(name))):
             if word in self.values:
                 return word
             named = re.compile(rf"{re.escape(word)}\s*[\[(][^][()]*[\])]\s*")
             fitting = (c for c in self.values if c in self.units and named.fullmatch(c))
-            if (column := next(fitting, "")) != "":
+            if column := next(fitting, ""):
                 return column
         return ""
 
@@ -193,14 +194,6 @@ class Table:
             if " " not in option
             else "name one of these columns",
         )
-
-
-def _with_primes(name: str) -> str:
-    """A rate or an acceleration as equations write it; empty for other names."""
-    for ending, primes in (("_rate", "'"), ("_acceleration", "''")):
-        if name.endswith(ending):
-            return name.removesuffix(ending) + primes
-    return ""
 
 
 def _parse_numbers(values: Any, decimal: str) -> tuple[Array, Array]:

@@ -12,6 +12,13 @@ from collections.abc import Sequence
 from spiral.types.errors import ConfigError
 
 _RATE = re.compile(r"([A-Za-z_]\w*)('{1,2})")
+_ENDINGS = {"'": "_rate", "''": "_acceleration"}
+
+
+def with_primes(name: str) -> str:
+    """A channel's name as equations write it, ``x'`` for ``x_rate``; empty for other names."""
+    spelled = (name.removesuffix(e) + p for p, e in _ENDINGS.items() if name.endswith(e))
+    return next(spelled, "")
 
 
 def split_observed(
@@ -32,11 +39,11 @@ def split_observed(
         rate = _RATE.fullmatch(name)
         if equals:
             formulas.append((name, formula))
-        elif rate and len(rate[2]) == 1 and rate[1] in twice:
-            name = f"{rate[1]}_rate"
         elif rate:
-            formula, name = name, f"{rate[1]}_{'rate' if len(rate[2]) == 1 else 'acceleration'}"
-            formulas.append((name, formula))
+            is_state = rate[2] == "'" and rate[1] in twice
+            formula, name = name, rate[1] + _ENDINGS[rate[2]]
+            if not is_state:
+                formulas.append((name, formula))
         if not name.isidentifier():
             raise ConfigError(
                 f"observed: {text}",

@@ -1,7 +1,7 @@
 """Three tests that a candidate must pass before it is admitted to the model.
 
 1. *Confirmed.* It must predict the blocks that did not select it (``judging``).
-2. *Fitted.* The model takes its most likely values, with the noise that its record wants.
+2. *Fitted.* The model takes its likeliest values and noise; effects made superfluous go.
 3. *Of use.* No error on unseen data may grow, at any horizon, and one must fall by a size that
    counts.
 """
