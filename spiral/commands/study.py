@@ -92,16 +92,22 @@ def _run_discovery_loop(study: Command, problem: Problem) -> Run:
 
         def keep(at: Checkpoint) -> None:
             kept.write(at)
-            if study.so_far is not None:
-                study.so_far(_unfinished_result(at, problem))
+            _write_what_is_known(study, at, problem)
 
         try:
             run = discover(problem, study.tell, study.on_round, keep, last)
         except (KeyboardInterrupt, SystemExit):  # Ctrl-C, SIGTERM
-            _tell_what_is_known(kept.read_last(), problem)
+            if (known := kept.read_last()) is not None:  # perhaps kept, and not written yet
+                _write_what_is_known(study, known, problem)
+                _tell_what_is_known(known, problem)
             raise
         kept.remove()
     return run
+
+
+def _write_what_is_known(study: Command, at: Checkpoint, problem: Problem) -> None:
+    if study.so_far is not None:
+        study.so_far(_unfinished_result(at, problem))
 
 
 def _unfinished_result(at: Checkpoint, problem: Problem) -> dict[str, Any]:
@@ -121,12 +127,10 @@ def _unfinished_result(at: Checkpoint, problem: Problem) -> dict[str, Any]:
     }
 
 
-def _tell_what_is_known(last: Checkpoint | None, problem: Problem) -> None:
+def _tell_what_is_known(last: Checkpoint, problem: Problem) -> None:
     """Say what a study has found that is stopped, and that the same command goes on from there."""
     from spiral.inference.verdict import interrupted_summary
 
-    if last is None:
-        return
     done, known = len(last.rounds) - 1, interrupted_summary(last.rounds, problem.settings)
     print(f"After round {done}: {known}", file=sys.stderr)
     print("The same command goes on from there.", file=sys.stderr)

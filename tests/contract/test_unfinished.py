@@ -146,6 +146,23 @@ def test_a_signal_leaves_the_checkpoint_and_no_lock(tmp_path):
     assert len(result["rounds"]) == _rounds_kept(tmp_path)
 
 
+def test_a_study_stopped_as_it_keeps_a_round_leaves_its_result(tmp_path, monkeypatch):
+    """The checkpoint is written first; the file of results must not need the moment after."""
+    monkeypatch.chdir(tmp_path)
+    write = CheckpointStore.write
+
+    def stopped_while_writing(self, at):
+        write(self, at)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(CheckpointStore, "write", stopped_while_writing)
+    words = [*GIVEN, "tracking.enabled=false", "--json", "result.json"]
+    assert main(["discover", *words]) == 128 + signal.SIGINT
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["error"]["given"] == "a study that was stopped after round 0"
+    assert len(result["rounds"]) == _rounds_kept(tmp_path) == 1
+
+
 def _rounds_kept(folder):
     for file in (folder / "runs" / FOLDER).glob(f"*/{FILE}"):
         return len(json.loads(file.read_text())["rounds"])
