@@ -238,16 +238,13 @@ def _channel_motion(along: SystemMotion, port: Port) -> tuple[Array, Array]:
 
 
 def _port_levels(along: SystemMotion, port: Port) -> Array:
-    """(samples, axes) states that a port is made of, from the input that they count against."""
+    """(samples, axes) states that a port is made of, from what they count against."""
     levels = along.states[:, [_state_index(along.system, name) for name in port.axes]]
-    if not port.against:
-        return levels
-    outside = input_columns(along.system).index(port.against)
-    return levels - along.inputs[:, outside : outside + 1]
+    return levels - followed_variable(along, port)[:, None] if port.against else levels
 
 
 def followed_variable(along: SystemMotion, port: Port) -> Array:
-    """(samples,) the state, the input or the time that a varying parameter follows."""
+    """(samples,) the state, the input or the time that a port counts against."""
     names = [s.name for s in along.system.states]
     if port.against in names:
         return along.states[:, names.index(port.against)]

@@ -252,10 +252,9 @@ def _place_effect(
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, ParameterEffect):
-        followed = port.against
-        position = (states[followed] if followed in states else inputs[followed],)
+        position = ({**inputs, **states}[port.against],)
     elif isinstance(effect, StateFlow):
-        outside = inputs[port.against] if port.against else 0
+        outside = {**inputs, **states}[port.against] if port.against else 0
         position = tuple(getattr(x, name) - outside for name in port.axes)
     elif has_coordinates(system):
         q, v = system.split(x)

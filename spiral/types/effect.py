@@ -132,8 +132,9 @@ class StateFlow(Effect):
     Its port is that state, or a pair of one unit, ``NAME-NAME``: the first that fits where none is
     named. ``force`` is the unit of what flows in, ``position`` that of the state. ``axes`` is 1
     for one state, 2 for a pair; ``units`` are those of the states that it is about, empty for any.
-    One of ``differences`` also acts on what a state has more than an input of its unit, at
-    ``NAME-INPUT``: a loss to surroundings that were measured.
+    One of ``differences`` also acts on what a state has more than an input of its unit, or than a
+    state with which a third one balances it, at ``NAME-OTHER``: a loss to surroundings that were
+    measured, the drag of what flows into a tank.
     """
 
     axes: ClassVar[int | None] = 1

@@ -16,8 +16,8 @@ class Port:
 
     ``coordinates(q, p)`` returns one expression per axis. Velocities and generalised forces
     follow by virtual work: v = J q', Q = J^T F with J = d(coordinates)/dq. An effect is written
-    once and serves one axis or two, a disk or a bearing. ``against`` is the input from which the
-    position of a place for flows counts (what it is outside); empty where it counts from zero.
+    once and serves one axis or two, a disk or a bearing. ``against`` is the input or state from
+    which the position of a place for flows counts; empty where it counts from zero.
     """
 
     name: str

@@ -84,6 +84,26 @@ def follows_input(system: ProbedSystem, state: str, given: str) -> bool:
         return False
 
 
+@kept(64)
+def is_balance_of(system: ProbedSystem, one: str, other: str) -> bool:
+    """Whether a third state's rate depends on two states by their difference alone.
+
+    What flows into a tank, and out of it, are such states: A z' = Q - q.
+    """
+    try:
+        x, u, p = _point(system)
+        nothing = {i.name: 0.0 for i in system.injections}
+        both, alone = SimpleNamespace(**vars(x)), SimpleNamespace(**vars(x))
+        for name in (one, other):
+            setattr(both, name, getattr(x, name) + _SHIFT)
+        setattr(alone, one, getattr(x, one) + _SHIFT)
+        here, moved, apart = (system.rate(at, u, p, nothing) for at in (x, both, alone))
+        third = (s.name for s in system.states if s.name not in (one, other))
+        return any(_is_same(here[k], moved[k]) and not _is_same(here[k], apart[k]) for k in third)
+    except Exception:
+        return False
+
+
 def _point(system: ProbedSystem) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
     """Numbers for states, inputs and parameters."""
     inputs = [i.name for i in system.inputs]

@@ -16,7 +16,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
 from spiral.types.port import Port
-from spiral.types.probing import follows_input
+from spiral.types.probing import follows_input, is_balance_of
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -164,7 +164,9 @@ class System(Plugin):
         """Ports for flows: each state of first order that effects may flow into, as ``state NAME``.
 
         After them what a state has more than an input of its unit, as ``state NAME-INPUT`` (without
-        a unit: of an input that it follows), and pairs of one unit, as ``states NAME-NAME``.
+        a unit: of an input that it follows), or than another state where the two are balanced in a
+        third one's rate (the flows into a tank and out of it), as ``state NAME-OTHER``; then pairs
+        of one unit, as ``states NAME-NAME``.
         """
         forces = {c.name for c in self.coordinates} if has_coordinates(self) else set()
         units = {s.name: s.unit for s in self.states}
@@ -172,14 +174,19 @@ class System(Plugin):
         pairs = [(a, b) for i, a in enumerate(own) for b in own[i + 1 :]]
         alike = [(a, b) for a, b in pairs if (units[a.name], a.unit) == (units[b.name], b.unit)]
         outside = [
-            replace(_state_port(units, i), name=f"state {i.name}-{u.name}", against=u.name)
+            (i, u.name)
             for i in own
             for u in self.inputs
             if u.unit == units[i.name] and (u.unit or follows_input(self, i.name, u.name))
         ]
+        balanced = [
+            (i, j.name)
+            for i, j in itertools.permutations(own, 2)
+            if units[i.name] == units[j.name] and is_balance_of(self, i.name, j.name)
+        ]
         return (
             *(_state_port(units, i) for i in own),
-            *outside,
+            *(_difference_port(units, i, other) for i, other in (*outside, *balanced)),
             *(_state_port(units, *pair) for pair in alike),
         )
 
@@ -352,6 +359,11 @@ def _state_port(units: dict[str, str], *into: State) -> Port:
         units[names[0]],
         into[0].unit,
     )
+
+
+def _difference_port(units: dict[str, str], into: State, other: str) -> Port:
+    """A port for flows into a state that follow what it has more than an input or a state."""
+    return replace(_state_port(units, into), name=f"state {into.name}-{other}", against=other)
 
 
 @kept(32)

@@ -1,11 +1,13 @@
 """What equations depend on, seen from their values: places of effects, readings that may jump."""
 
 import numpy as np
-from spiral_plugins.effects.losses import AsymmetricLoss
+from numpy.testing import assert_allclose
+from spiral_plugins.effects.losses import AsymmetricLoss, QuadraticLoss
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
-from spiral.types.probing import follows_input, readings_with_rates
+from spiral.physics.trace import trace
+from spiral.types.probing import follows_input, is_balance_of, readings_with_rates
 from spiral.types.record import make_record
 
 
@@ -38,6 +40,39 @@ def test_a_state_without_a_unit_follows_an_input_by_their_difference():
     other = muscle("r*(u - a) - r*a**3")
     assert not follows_input(other, "a", "u")
     assert [p.name for p in other.filled] == ["state a"]
+
+
+def surge_tank(level="(Q - q)/A"):
+    """A tunnel's flow Q and the turbines' q, which a tank at the end of the tunnel balances."""
+    return spiral.system(
+        ["I*Q' = -z - R*Q", f"z' = {level}", "T*q' = u - q"],
+        states={"Q": "m^3/s", "z": "m", "q": "m^3/s"}, inputs={"u": "m^3/s"},
+        parameters={"I": "34 s^2/m^2", "R": "0.1 s/m^2", "A": "58 m^2", "T": "12 s"},
+        observed=["z"],
+    )  # fmt: skip
+
+
+def test_flows_that_a_tank_balances_have_places_against_each_other():
+    """What throttles the tank's mouth follows their difference, and acts on either."""
+    assert is_balance_of(surge_tank(), "Q", "q")
+    names = [p.name for p in surge_tank().filled]
+    assert names == ["state Q", "state z", "state q", "state Q-u", "state q-u", "state Q-q",
+                     "state q-Q", "states Q-q"]  # fmt: skip
+    other = surge_tank("Q/A - 2*q/A")
+    assert not is_balance_of(other, "Q", "q")
+    assert "state Q-q" not in [p.name for p in other.filled]
+
+
+def test_a_loss_at_such_a_place_follows_the_difference():
+    system, loss = surge_tank(), QuadraticLoss(port="Q-q")
+    traced = trace(system, (loss,))
+    named = {"Q": 3.0, "z": -0.5, "q": 1.2, "u": 2.0, "system.I": 34.0, "system.R": 0.1,
+             "system.A": 58.0, "system.T": 12.0, "quadratic_loss@Q-q.rate": 0.02}  # fmt: skip
+    symbols = zip((*traced.states, *traced.inputs, *traced.keys), (*traced.x, *traced.u, *traced.p),
+                  strict=True)  # fmt: skip
+    values = {symbol: named.get(name, 0.0) for name, symbol in symbols}
+    rates = [float(rate.subs(values)) for rate in traced.rate]
+    assert_allclose(rates, [(0.5 - 0.3) / 34 - 0.02 * 1.8**2, 1.8 / 58, 0.8 / 12], rtol=1e-12)
 
 
 def test_readings_that_change_with_rates_are_those_that_may_jump():

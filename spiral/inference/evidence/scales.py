@@ -71,18 +71,29 @@ def largest_port_motion(
                 float(np.max(np.abs(np.broadcast_to(c, len(states))))) for c in values
             )
     for port in system.filled:
-        axes = [i for i, s in enumerate(system.states) if s.name in port.axes]
-        unseen = any(traced.x[i] in hidden for i in axes)
-        levels = (inferred if unseen else measured)[:, axes]
-        if port.against:  # as far apart as both may be
-            outside = [r.inputs[port.against] for r in records]
-            low, high = (float(f(np.concatenate(outside))) for f in (np.min, np.max))
-            levels = np.stack([levels - low, levels - high])
-        largest[f"{port.name}.position"] = float(np.abs(levels).max())
+        made_of = [i for i, n in enumerate(traced.states) if n in (*port.axes, port.against)]
+        unseen = any(traced.x[i] in hidden for i in made_of)
+        visited = inferred if unseen else measured
+        largest[f"{port.name}.position"] = _largest_level(system, port, records, visited)
     unseen = np.array([symbol in hidden for symbol in traced.x])
     reached = _largest_variables(system, records, np.where(unseen, inferred, measured))
     varied = {f"{p.name}.position": reached.get(p.against, 0.0) for p in system.varied}
     return {**largest, **varied, **_largest_signals(system, records)}
+
+
+def _largest_level(system: System, port: Port, records: Sequence[Record], states: Array) -> float:
+    """Largest |level| of a port for flows along states (samples, n), from what it counts against.
+
+    An input is counted as far apart as both may be.
+    """
+    columns = {s.name: states[:, i] for i, s in enumerate(system.states)}
+    levels = np.stack([columns[name] for name in port.axes])
+    if port.against in columns:
+        levels = levels - columns[port.against]
+    elif port.against:
+        outside = np.concatenate([r.inputs[port.against] for r in records])
+        levels = np.stack([levels - outside.min(), levels - outside.max()])
+    return float(np.abs(levels).max())
 
 
 def _largest_signals(system: System, records: Sequence[Record]) -> dict[str, float]:
