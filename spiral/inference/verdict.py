@@ -8,7 +8,6 @@ named as what was missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from spiral.inference.disturbances import (
     record_sentence,
     what_acts,
 )
+from spiral.inference.effect_words import name_effects
 from spiral.inference.identifiability.undetermined import (
     describe_held_parameters,
     describe_undetermined_parameters,
@@ -38,14 +38,11 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
-from spiral.physics.formulas.laws import law_meaning
-from spiral.types.effect import Effect, ForceEffect, ParameterEffect
-from spiral.types.formatting import first_words, number, percent
+from spiral.types.formatting import number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
-from spiral.types.placement import at_every_place
 from spiral.types.run import Comparison, Round, StopReason, Verdict
-from spiral.types.system import System, has_coordinates, place_name
+from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
@@ -364,15 +361,43 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
         )
     if not named:
         return f"The model now contains {', '.join(admitted)}: {change}."
-    words = ", ".join(
-        label_with_place(last.model, x) + _look_alikes_clause(last.model, rounds, x, admitted)
-        for x in named
-    )
-    said = f"Missing {'was' if len(named) == 1 else 'were'} {words}: {change}."
+    said = _missing_sentence(rounds, named, change)
     if doubtful:
         names = ", ".join(doubtful)
         said += f" The model also contains {names}, which may only stand in for memory."
     return said
+
+
+def _missing_sentence(rounds: Sequence[Round], named: tuple[str, ...], change: str) -> str:
+    """What was missing, and what it did to the error; what is smaller than the noise comes last."""
+    last, (before, small) = rounds[-1], _smaller_than_noise(rounds, named)
+    main = tuple(x for x in named if x not in small)
+    words = name_effects(last.comparison.model, rounds, main)
+    if small:
+        change = _error_clause(rounds[0].comparison, before)
+    said = f"Missing {'was' if len(main) == 1 else 'were'} {words}: {change}."
+    if small:
+        words = name_effects(last.comparison.model, rounds, small)
+        change = _error_clause(before, last.comparison)
+        said += f" Missing too, and smaller than the noise: {words}; {change}."
+    return said
+
+
+def _smaller_than_noise(
+    rounds: Sequence[Round], named: tuple[str, ...]
+) -> tuple[Comparison, tuple[str, ...]]:
+    """The model after which an error e has less than the noise f left to fall, and what came then.
+
+    That is e^2 - f^2 <= f^2. None where all came then, or none did, or no free run tells.
+    """
+    last = rounds[-1].comparison
+    limit = np.sqrt(2.0) * last.noise_floor
+    near = (k for k, r in enumerate(rounds) if r.comparison.test_error <= limit)
+    k = next(near, len(rounds) - 1)
+    early = {x for r in rounds[: k + 1] for x in r.admitted}
+    small = tuple(x for x in named if x not in early)
+    told = len(small) < len(named) and not is_free_run_carried_away(last)
+    return rounds[k].comparison, small if told else ()
 
 
 def _error_clause(first: Comparison, last: Comparison) -> str:
@@ -403,48 +428,6 @@ def _growth_excuse(first: Comparison, last: Comparison) -> str:
         f", which noise and random {what_acts(last.model)}s explain in a free run; one sample "
         f"ahead {percent(before)} -> {percent(after)}"
     )
-
-
-def _look_alikes_clause(
-    model: Model, rounds: Sequence[Round], label: str, admitted: tuple[str, ...]
-) -> str:
-    """An effect's look-alikes, in brackets; empty where there are none.
-
-    The same effect at the first place of a system, whose label leaves that out, is named with it.
-    """
-    alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
-    if not alike:
-        return ""
-    ours = next((e for e in model.effects if e.label == label), None)
-    first = None if ours is None else replace(ours, port="")
-    names = [
-        _effect_with_place(model.system, first) if first and first.label == x else x for x in alike
-    ]
-    return f" (or {first_words(names)}: this record cannot tell them apart)"
-
-
-def label_with_place(model: Model, label: str) -> str:
-    """An effect of a model with its place, where its label leaves out that it is the first.
-
-    Of a parameter that varies it is said what it follows, of a law what it is.
-    """
-    effect = next((e for e in model.effects if e.label == label), None)
-    if isinstance(effect, ParameterEffect):
-        port = model.system.place(effect)
-        return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
-    if effect is None:
-        return label
-    law, named = law_meaning(effect), _effect_with_place(model.system, effect)
-    return f"{named} ({law})" if law else named
-
-
-def _effect_with_place(system: System, effect: Effect) -> str:
-    """An effect's label, with its place where the label leaves out that it is the first."""
-    if effect.port or len(at_every_place(system, effect)) < 2:
-        return effect.label
-    port = system.place(effect)
-    name = port.name if isinstance(effect, ForceEffect) else place_name(port)
-    return f"{effect.label} at {name}" if name else effect.label
 
 
 def _curve_summary(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:

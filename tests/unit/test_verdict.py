@@ -78,6 +78,23 @@ def test_an_effect_that_leaves_noise_is_named_with_its_figures():
     assert advice == "What is left is white noise."
 
 
+@pytest.mark.parametrize(("between", "apart"), [(0.027, True), (0.030, False)])
+def test_what_is_smaller_than_the_noise_is_named_last(between, apart):
+    """Once e^2 - f^2 <= f^2: beside the one effect that matters it is not another of its kind."""
+    both = model(CUBIC, effect("coulomb_friction"), cubic_stiffness__stiffness=(3.0, 0.1),
+                 coulomb_friction__level=(0.2, 0.01))  # fmt: skip
+    first, second = rounds(replace(GOOD, test_error=between))
+    third = Round(2, ("coulomb_friction",), {}, {}, (), replace(GOOD, model=both), 1.0)
+    _, words, _ = said((first, second, third), "whiteness")
+    assert words == (
+        "Missing was cubic_stiffness: test error 60.0 % -> 2.70 % (noise floor 2.00 %). Missing "
+        "too, and smaller than the noise: coulomb_friction; test error 2.70 % -> 2.01 % (noise "
+        "floor 2.00 %)." if apart else
+        "Missing were cubic_stiffness, coulomb_friction: test error 60.0 % -> 2.01 % (noise floor "
+        "2.00 %)."
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(("moved", "told"), [(0.05, False), (0.4, True)])
 def test_random_forces_that_carry_a_free_run_are_no_quiet_end(moved, told):
     pushed = replace(GOOD, random={"force.observed": 0.04}, disturbed=moved, test_error=0.3)

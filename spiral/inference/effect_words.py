@@ -1,0 +1,65 @@
+"""Words for the effects of a model: where they act, what they follow, what looks like them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+from spiral.physics.formulas.laws import law_meaning
+from spiral.types.effect import Effect, ForceEffect, ParameterEffect
+from spiral.types.formatting import first_words
+from spiral.types.model import Model
+from spiral.types.placement import at_every_place
+from spiral.types.run import Round
+from spiral.types.system import System, place_name
+
+
+def name_effects(model: Model, rounds: Sequence[Round], labels: Sequence[str]) -> str:
+    """Effects of a model with their places and look-alikes, as words of a sentence."""
+    admitted = {x for r in rounds for x in r.admitted if x in model.labels}
+    return ", ".join(
+        _label_with_place(model, x) + _look_alikes_clause(model, rounds, x, admitted)
+        for x in labels
+    )
+
+
+def _look_alikes_clause(
+    model: Model, rounds: Sequence[Round], label: str, admitted: Collection[str]
+) -> str:
+    """An effect's look-alikes, in brackets; empty where there are none.
+
+    The same effect at the first place of a system, whose label leaves that out, is named with it.
+    """
+    alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
+    if not alike:
+        return ""
+    ours = next((e for e in model.effects if e.label == label), None)
+    first = None if ours is None else replace(ours, port="")
+    names = [
+        _effect_with_place(model.system, first) if first and first.label == x else x for x in alike
+    ]
+    return f" (or {first_words(names)}: this record cannot tell them apart)"
+
+
+def _label_with_place(model: Model, label: str) -> str:
+    """An effect of a model with its place, where its label leaves out that it is the first.
+
+    Of a parameter that varies it is said what it follows, of a law what it is.
+    """
+    effect = next((e for e in model.effects if e.label == label), None)
+    if isinstance(effect, ParameterEffect):
+        port = model.system.place(effect)
+        return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
+    if effect is None:
+        return label
+    law, named = law_meaning(effect), _effect_with_place(model.system, effect)
+    return f"{named} ({law})" if law else named
+
+
+def _effect_with_place(system: System, effect: Effect) -> str:
+    """An effect's label, with its place where the label leaves out that it is the first."""
+    if effect.port or len(at_every_place(system, effect)) < 2:
+        return effect.label
+    port = system.place(effect)
+    name = port.name if isinstance(effect, ForceEffect) else place_name(port)
+    return f"{effect.label} at {name}" if name else effect.label
