@@ -370,17 +370,19 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
 
 def _missing_sentence(rounds: Sequence[Round], named: tuple[str, ...], change: str) -> str:
     """What was missing, and what it did to the error; what is smaller than the noise comes last."""
-    last, (before, small) = rounds[-1], _smaller_than_noise(rounds, named)
+    model, (before, small) = rounds[-1].comparison.model, _smaller_than_noise(rounds, named)
     main = tuple(x for x in named if x not in small)
-    words = name_effects(last.comparison.model, rounds, main)
-    if small:
+    if main and small:
         change = _error_clause(rounds[0].comparison, before)
-    said = f"Missing {'was' if len(main) == 1 else 'were'} {words}: {change}."
-    if small:
-        words = name_effects(last.comparison.model, rounds, small)
-        change = _error_clause(before, last.comparison)
-        said += f" Missing too, and smaller than the noise: {words}; {change}."
-    return said
+    was = "was" if len(main or named) == 1 else "were"
+    said = f"Missing {was} {name_effects(model, rounds, main or named)}: {change}."
+    if main and small:
+        change = _error_clause(before, rounds[-1].comparison)
+        said += f" Missing too, and smaller than the noise: {name_effects(model, rounds, small)}; "
+        said += f"{change}."
+    elif small:
+        said += " What that does is smaller than the noise."
+    return f"{said} At this size a name may stand for something else." if small else said
 
 
 def _smaller_than_noise(
@@ -388,16 +390,14 @@ def _smaller_than_noise(
 ) -> tuple[Comparison, tuple[str, ...]]:
     """The model after which an error e has less than the noise f left to fall, and what came then.
 
-    That is e^2 - f^2 <= f^2. None where all came then, or none did, or no free run tells.
+    That is e^2 - f^2 <= f^2. Nothing came where no model is as near, or where no free run tells.
     """
     last = rounds[-1].comparison
-    limit = np.sqrt(2.0) * last.noise_floor
+    limit = 0.0 if is_free_run_carried_away(last) else np.sqrt(2.0) * last.noise_floor
     near = (k for k, r in enumerate(rounds) if r.comparison.test_error <= limit)
     k = next(near, len(rounds) - 1)
     early = {x for r in rounds[: k + 1] for x in r.admitted}
-    small = tuple(x for x in named if x not in early)
-    told = len(small) < len(named) and not is_free_run_carried_away(last)
-    return rounds[k].comparison, small if told else ()
+    return rounds[k].comparison, tuple(x for x in named if x not in early)
 
 
 def _error_clause(first: Comparison, last: Comparison) -> str:

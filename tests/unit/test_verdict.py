@@ -89,10 +89,18 @@ def test_what_is_smaller_than_the_noise_is_named_last(between, apart):
     assert words == (
         "Missing was cubic_stiffness: test error 60.0 % -> 2.70 % (noise floor 2.00 %). Missing "
         "too, and smaller than the noise: coulomb_friction; test error 2.70 % -> 2.01 % (noise "
-        "floor 2.00 %)." if apart else
+        "floor 2.00 %). At this size a name may stand for something else." if apart else
         "Missing were cubic_stiffness, coulomb_friction: test error 60.0 % -> 2.01 % (noise floor "
         "2.00 %)."
     )  # fmt: skip
+
+
+def test_what_was_never_larger_than_the_noise_is_named_with_that():
+    _, words, _ = said(rounds(GOOD, replace(POOR, test_error=0.025)), "whiteness")
+    assert words == (
+        "Missing was cubic_stiffness: test error 2.50 % -> 2.01 % (noise floor 2.00 %). What that "
+        "does is smaller than the noise. At this size a name may stand for something else."
+    )
 
 
 @pytest.mark.parametrize(("moved", "told"), [(0.05, False), (0.4, True)])
