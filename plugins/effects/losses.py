@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from spiral_plugins.effects.restoring import WIDTH
 
-from spiral.math import length, ramp, sqrt, tanh, where
+from spiral.math import exp, length, ramp, sqrt, tanh, where
 from spiral.types.effect import StateFlow
 from spiral.types.parameter import Parameter
 
@@ -151,6 +151,26 @@ class ThresholdLoss(StateFlow):
         (x,) = at.position
         above, below = ramp(x - p.threshold, p.width), ramp(p.threshold - x, p.width)
         return [p.rate * where(p.threshold > 0, -above, below)]
+
+
+class ExponentialLoss(StateFlow):
+    """A loss that grows exponentially, one way: x' = ... - c sign(w) (exp(x / w) - 1).
+
+    Charge transfer under its overvoltage (Tafel 1905), a diode (Shockley 1949), a leak of what
+    softens with heat. c is the exchange or saturation current over the capacity, w the e-fold (at
+    25 deg C 26 mV times the ideality); a negative w is a diode the other way round.
+    """
+
+    differences = True
+    parameters = (
+        Parameter("level", "force", lower=0.0),
+        Parameter("width", "position", role="shape", grid=(0.12, 0.3, -0.12, -0.3)),
+    )
+
+    def flow(self, at, u, p):
+        """-c sign(w) (exp(x / w) - 1)."""
+        grown = exp(at.position[0] / p.width) - 1
+        return [p.level * where(p.width > 0, -grown, grown)]
 
 
 class DryLoss(StateFlow):

@@ -184,6 +184,39 @@ def test_what_runs_over_a_rim_is_named_with_its_threshold():
     assert abs(known["threshold"].estimate - 1.0) < 3 * known["threshold"].se
 
 
+CELL = """
+equations: ["C*v' = i - v/R"]
+states: {v: V}
+inputs: {i: {unit: A, interpolation: zero_order}}
+parameters: {C: 180 F, R: 0.011 ohm}
+constants: {S: 0.005 ohm}
+free: [C, R]
+observed: ["U = v + S*i"]
+"""
+
+
+def test_charge_transfer_is_named_with_its_current_and_its_width():
+    """Tafel's law beside a resistor: no cubic, and no threshold, that stand in for it."""
+    transfer = effect("exponential_loss@v")
+    values = {"system.C": 180.0, "system.R": 0.011, "exponential_loss@v.level": 1.1e-3,
+              "exponential_loss@v.width": 0.095}  # fmt: skip
+    records = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        time, current = np.arange(0, 600.0, 0.5), np.repeat(rng.uniform(5.0, 60.0, 40), 30)
+        model = seed_model(Equations(text=CELL), (transfer,), values=values)
+        record = simulate(model, time, {"i": current}, 0.01, rng, substeps=4)
+        records.append(replace(record, noise={}))
+    run = spiral.discover(
+        records[0], Equations(text=CELL), test=records[1],
+        values={"system.C": 160.0, "system.R": 0.012},
+    )  # fmt: skip
+    assert run.missing == ("exponential_loss@v",)
+    known = run.model.estimates()["exponential_loss@v"]
+    assert abs(known["level"].estimate - 1.1e-3) < 3 * known["level"].se
+    assert abs(known["width"].estimate - 0.095) < 3 * known["width"].se
+
+
 LOCK = """
 equations: ["level' = supply - c*valve*sqrt(level + least)"]
 states: {level: m}
