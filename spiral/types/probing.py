@@ -6,6 +6,7 @@ evaluated with numbers (a program that is not running) counts as depending on ev
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections.abc import Iterable
 from types import SimpleNamespace
@@ -15,7 +16,9 @@ from spiral.types.cache import kept
 from spiral.types.parameter import Input, Parameter, State
 
 _SAME = 1e-9  # of a value, by which it may differ for rounding
-_SHIFT = 0.37  # of a state and an input together
+_SHIFT = 0.37  # of a state and an input together, or of a parameter
+_SMALL = 1e-4  # step of a slope, and the least that counts as one
+_LIKE = 1e-3  # of a slope, by which it may differ from another
 
 
 class ProbedSystem(Protocol):
@@ -102,6 +105,69 @@ def is_balance_of(system: ProbedSystem, one: str, other: str) -> bool:
         return any(_is_same(here[k], moved[k]) and not _is_same(here[k], apart[k]) for k in third)
     except Exception:
         return False
+
+
+@kept(64)
+def lines_of(system: ProbedSystem, coordinates: tuple[tuple[str, str], ...]) -> dict[str, int]:
+    """The line that each coordinate is on; ``coordinates`` are their names with their rates' names.
+
+    Two are on one line where some parameter acts on both by differences alone (a spring, a damper),
+    and so are those of a chain of such pairs.
+    """
+    names = [name for name, _ in coordinates]
+    line = {name: k for k, name in enumerate(names)}
+    try:
+        x, u, p = _point(system)
+        for parameter in system.parameters:
+            slopes = _slopes_by_parameter(system, x, u, p, parameter.name, coordinates)
+            for a, b in itertools.combinations(names, 2):
+                if _is_of_differences(slopes[a], b) and _is_of_differences(slopes[b], a):
+                    line = {n: line[a] if k == line[b] else k for n, k in line.items()}
+    except Exception:
+        return line
+    return line
+
+
+Slopes = dict[str, dict[str, tuple[float, float]]]
+"""Coordinate -> coordinate -> how its acceleration changes with the other's place and rate."""
+
+
+def _slopes_by_parameter(
+    system: ProbedSystem, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace,
+    parameter: str, coordinates: tuple[tuple[str, str], ...],
+) -> Slopes:  # fmt: skip
+    """How much a parameter's own part of each acceleration changes as each coordinate moves."""
+    nothing = {i.name: 0.0 for i in system.injections}
+    more = SimpleNamespace(**vars(p))
+    setattr(more, parameter, getattr(p, parameter) + _SHIFT)
+
+    def own_part(at: SimpleNamespace) -> dict[str, float]:
+        here, there = (system.rate(at, u, values, nothing) for values in (p, more))
+        return {n: float(there[rate]) - float(here[rate]) for n, rate in coordinates}
+
+    def slope(state: str) -> dict[str, float]:
+        back, ahead = SimpleNamespace(**vars(x)), SimpleNamespace(**vars(x))
+        setattr(back, state, getattr(x, state) - _SMALL)
+        setattr(ahead, state, getattr(x, state) + _SMALL)
+        before, after = own_part(back), own_part(ahead)
+        return {n: (after[n] - before[n]) / (2 * _SMALL) for n in before}
+
+    by_state = {n: (slope(n), slope(rate)) for n, rate in coordinates}
+    return {
+        n: {m: (place[n], rate[n]) for m, (place, rate) in by_state.items()} for n, _ in coordinates
+    }
+
+
+def _is_of_differences(slopes: dict[str, tuple[float, float]], other: str) -> bool:
+    """Whether an acceleration goes by differences of places, or of rates, one of them another's.
+
+    It is then the same wherever all of them are together.
+    """
+    for kind in (0, 1):
+        all_ = [of[kind] for of in slopes.values()]
+        if abs(slopes[other][kind]) > _SMALL and abs(sum(all_)) <= _LIKE * max(map(abs, all_)):
+            return True
+    return False
 
 
 def _point(system: ProbedSystem) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:

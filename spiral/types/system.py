@@ -16,7 +16,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
 from spiral.types.port import Port
-from spiral.types.probing import follows_input, is_balance_of
+from spiral.types.probing import follows_input, is_balance_of, lines_of
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -114,7 +114,10 @@ class System(Plugin):
 
     @property
     def links(self) -> tuple[Port, ...]:
-        """Ports between any two coordinates of one unit, ``NAME-NAME`` with two axes."""
+        """Ports between two coordinates of one unit that no spring puts on one line.
+
+        They are called ``NAME-NAME`` and have two axes.
+        """
         return _coordinate_pair_ports(self) if has_coordinates(self) else ()
 
     @property
@@ -386,13 +389,19 @@ def _varied_ports(system: System) -> dict[str, Port]:
 
 @kept(32)
 def _coordinate_pair_ports(system: MechanicalSystem) -> tuple[Port, ...]:
-    """Pairs of the ports that are coordinates, one axis each."""
+    """Pairs of the ports that are coordinates, one axis each.
+
+    Coordinates between which a spring or a damper stands are on one line, and so are those of a
+    whole chain: nothing turns one into the other.
+    """
     import sympy
 
     q = SimpleNamespace(**{s.name: sympy.Symbol(s.name) for s in system.states})
     p = SimpleNamespace(**{k.name: sympy.Symbol(f"p_{k.name}") for k in system.parameters})
-    own = {q.__dict__[c.name] for c in system.coordinates}
-    plain = [x for x in system.ports if len(x.axes) == 1 and x.coordinates(q, p)[0] in own]
+    names = {q.__dict__[c.name]: c.name for c in system.coordinates}
+    single = [(x, x.coordinates(q, p)[0]) for x in system.ports if len(x.axes) == 1]
+    plain = [(x, names[at]) for x, at in single if at in names]
+    line = lines_of(system, tuple((c.name, system.rate_name(c.name)) for c in system.coordinates))
     return tuple(
         Port(
             f"{a.name}-{b.name}",
@@ -401,8 +410,8 @@ def _coordinate_pair_ports(system: MechanicalSystem) -> tuple[Port, ...]:
             a.position_unit,
             a.force_unit,
         )
-        for a, b in itertools.combinations(plain, 2)
-        if (a.position_unit, a.force_unit) == (b.position_unit, b.force_unit)
+        for (a, x), (b, y) in itertools.combinations(plain, 2)
+        if line[x] != line[y] and (a.position_unit, a.force_unit) == (b.position_unit, b.force_unit)
     )
 
 

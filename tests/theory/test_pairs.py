@@ -41,6 +41,17 @@ def test_pairs_are_of_coordinates_and_not_of_differences():
     )  # fmt: skip
 
 
+def test_masses_of_a_chain_are_no_pair():
+    """They are on one line, the first and the third as well, whatever stands beside it."""
+    chain = spiral.system(
+        ["m*a'' = F - k*(a - b)", "m*b'' = -k*(b - a) - k*(b - c)", "m*c'' = -k*(c - b)",
+         "m*d'' = -k*d"],
+        states=dict.fromkeys("abcd", "m"), inputs={"F": "N"}, observed=["a", "d"],
+        parameters={"m": "1 kg", "k": "200 N/m"},
+    )  # fmt: skip
+    assert [p.name for p in chain.links] == ["a-d", "b-d", "c-d"]
+
+
 def test_coordinates_of_two_units_are_no_pair():
     angle = spiral.system(
         lambda t, x, u, p: [x.v, x.w, -p.k * x.q / p.m, -p.g * x.a / p.J],
@@ -79,7 +90,7 @@ def test_the_coupling_is_skew(name):
 
 
 def _record(name, seed, samples):
-    """By DOP853 from equations of their own: a Coriolis force between two masses."""
+    """By DOP853 from equations of their own: a Coriolis force between two coordinates."""
     rng, dt = np.random.default_rng(seed), 0.01
     spectrum = rng.normal(size=(2, samples // 2 + 1)).T @ [1, 1j]
     spectrum[np.fft.rfftfreq(samples, dt) > 6.0] = 0.0

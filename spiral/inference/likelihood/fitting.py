@@ -336,6 +336,15 @@ def is_white(assembly: Assembly, fit: LikelihoodFit) -> bool:
     return innovation_whiteness(assembly, fit).p >= assembly.problem.settings.whiteness_level
 
 
+def is_nearly_white(assembly: Assembly, fit: LikelihoodFit) -> bool:
+    """Whether the innovations are white, or their colour is smaller than any effect that counts.
+
+    In a long record any colour is significant; of one so small no other start has the reason.
+    """
+    tested, settings = innovation_whiteness(assembly, fit), assembly.problem.settings
+    return tested.p >= settings.whiteness_level or tested.effect <= settings.smallest**2
+
+
 def schwarz_penalty(parameters: int, prepared: FilterInputs) -> float:
     """Schwarz's penalty of q parameters in log-likelihood: q / 2 log N, with N readings."""
     return 0.5 * parameters * float(np.log(reading_count(prepared)))

@@ -46,6 +46,7 @@ from spiral.inference.likelihood.fitting import (
     free_parameters,
     has_noiseless_sensor,
     is_acting,
+    is_nearly_white,
     is_random_force_small,
     is_white,
     prepare_filter_tasks,
@@ -153,7 +154,9 @@ def restart_from_sensor_noise(
     beside a sensor without any noise. Noise that is not white looks like motion, so the noise model
     is selected from there as well.
     """
-    if not fit.estimate.finite or (is_white(assembly, fit) and not has_noiseless_sensor(fit)):
+    if not fit.estimate.finite or (
+        is_nearly_white(assembly, fit) and not has_noiseless_sensor(fit)
+    ):
         return fit
     progress("starting again with sensor noise alone")
     again = fit_by_likelihood(assembly, fit.state, sensor_noise_only(fit), rough=True)
@@ -219,7 +222,7 @@ def restart_from_given_values(
     at = fit.estimate
     usual = all(term.kind in ("white", "force") for term in at.noise.terms)
     given = with_given_values(assembly, fit.state)
-    explained = usual and is_random_force_small(fit) and is_white(assembly, fit)
+    explained = usual and is_random_force_small(fit) and is_nearly_white(assembly, fit)
     if (
         not at.finite
         or given is None

@@ -38,7 +38,7 @@ from spiral.inference.likelihood.fitting import (
     fit_by_likelihood,
     has_still_state,
     innovation_whiteness,
-    is_white,
+    is_nearly_white,
     largest_force,
     restart_vanished_noise,
 )
@@ -420,7 +420,7 @@ def fit_with_effect(
         fit = fit_by_likelihood(own, state, rough=True, like=like)
     fit = refit_initial_states(own, refit_on_finer_steps(own, fit))
     fit, state = _release_told_values(own, fit, state)
-    if not is_white(own, fit):  # it may have stayed with the noise of the model as it was
+    if not is_nearly_white(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
     fit = reselect_noise_model(own, fit, progress)
