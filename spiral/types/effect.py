@@ -96,7 +96,7 @@ class ForceEffect(Effect):
     """A force at a port, one component per axis, in the port's unit of force.
 
     ``pairs`` : whether it also acts between any two coordinates of one unit (``System.links``),
-    which need not be the axes of a plane.
+    which need not be the axes of a plane; it is offered where they may be (``System.planes``).
     """
 
     pairs: ClassVar[bool] = False

@@ -38,7 +38,7 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
     """Copies of an effect for every place of a system where its kind acts, the first as it is."""
     if isinstance(effect, ForceEffect):
         names = [port.name for port in system.ports]
-        names += [port.name for port in system.links] if effect.pairs else []
+        names += [port.name for port in system.planes] if effect.pairs else []
     elif isinstance(effect, InputEffect):
         names = [place_name(port) for port in system.driven]
     elif isinstance(effect, SensorEffect):

@@ -114,11 +114,21 @@ class System(Plugin):
 
     @property
     def links(self) -> tuple[Port, ...]:
-        """Ports between two coordinates of one unit that no spring puts on one line.
+        """Ports between any two coordinates of one unit, ``NAME-NAME`` with two axes."""
+        return tuple(_coordinate_pairs(self)) if has_coordinates(self) else ()
 
-        They are called ``NAME-NAME`` and have two axes.
+    @property
+    def planes(self) -> tuple[Port, ...]:
+        """Those of ``links`` that may be a plane: effects of ``pairs`` are offered there.
+
+        Coordinates between which a spring or a damper stands are on one line, and so are those of a
+        whole chain: nothing turns one into the other.
         """
-        return _coordinate_pair_ports(self) if has_coordinates(self) else ()
+        if not has_coordinates(self):
+            return ()
+        line = lines_of(self, tuple((c.name, self.rate_name(c.name)) for c in self.coordinates))
+        pairs = _coordinate_pairs(self).items()
+        return tuple(port for port, (a, b) in pairs if line[a] != line[b])
 
     @property
     def balanced(self) -> bool:
@@ -388,12 +398,8 @@ def _varied_ports(system: System) -> dict[str, Port]:
 
 
 @kept(32)
-def _coordinate_pair_ports(system: MechanicalSystem) -> tuple[Port, ...]:
-    """Pairs of the ports that are coordinates, one axis each.
-
-    Coordinates between which a spring or a damper stands are on one line, and so are those of a
-    whole chain: nothing turns one into the other.
-    """
+def _coordinate_pairs(system: MechanicalSystem) -> dict[Port, tuple[str, str]]:
+    """Pairs of the ports that are coordinates, one axis each, with these coordinates."""
     import sympy
 
     q = SimpleNamespace(**{s.name: sympy.Symbol(s.name) for s in system.states})
@@ -401,18 +407,17 @@ def _coordinate_pair_ports(system: MechanicalSystem) -> tuple[Port, ...]:
     names = {q.__dict__[c.name]: c.name for c in system.coordinates}
     single = [(x, x.coordinates(q, p)[0]) for x in system.ports if len(x.axes) == 1]
     plain = [(x, names[at]) for x, at in single if at in names]
-    line = lines_of(system, tuple((c.name, system.rate_name(c.name)) for c in system.coordinates))
-    return tuple(
+    return {
         Port(
             f"{a.name}-{b.name}",
             (a.name, b.name),
             _joint_coordinates(a, b),
             a.position_unit,
             a.force_unit,
-        )
+        ): (x, y)
         for (a, x), (b, y) in itertools.combinations(plain, 2)
-        if line[x] != line[y] and (a.position_unit, a.force_unit) == (b.position_unit, b.force_unit)
-    )
+        if (a.position_unit, a.force_unit) == (b.position_unit, b.force_unit)
+    }
 
 
 def _joint_coordinates(

@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 
 import spiral
 from spiral.physics.trace import trace
+from spiral.types.placement import at_every_place
 from spiral.types.record import make_record
 from tests.scenes import effect, registry
 
@@ -49,7 +50,11 @@ def test_masses_of_a_chain_are_no_pair():
         states=dict.fromkeys("abcd", "m"), inputs={"F": "N"}, observed=["a", "d"],
         parameters={"m": "1 kg", "k": "200 N/m"},
     )  # fmt: skip
-    assert [p.name for p in chain.links] == ["a-d", "b-d", "c-d"]
+    assert [p.name for p in chain.planes] == ["a-d", "b-d", "c-d"]
+    offered = [e.port for e in at_every_place(chain, effect("antisymmetric_damping"))]
+    assert {"a-d", "b-d", "c-d"} < {*offered}
+    assert not {"a-b", "a-c", "b-c"} & {*offered}
+    assert chain.port("a-c").axes == ("a", "c")  # by hand it may stand there
 
 
 def test_coordinates_of_two_units_are_no_pair():
