@@ -90,7 +90,7 @@ test: warm ## Run the tests (without the slow ones)
 	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) \
 		--dist loadfile --no-loadscope-reorder $(PYTEST)
 
-test-slow: warm ## Run the slow statistical tests
+test-slow: warm ## Run the slow tests: statistics, whole studies, every tab of the page
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"
 	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --dist worksteal $(PYTEST)
 

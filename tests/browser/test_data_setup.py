@@ -136,6 +136,7 @@ def test_a_second_file_is_the_test_and_a_third_is_fitted_too(tab, served, files,
     tab.click("button:has-text('Cancel')")
 
 
+@pytest.mark.slow
 def test_what_a_record_cannot_tell_is_said_before_any_fit(tab, served, files, picture):
     begun(tab, served, files / "steady.csv", "planar rotor")
     tab.wait_for_selector("#foresight:has-text('cannot tell apart')", timeout=PATIENCE)

@@ -224,6 +224,7 @@ def test_aliases_are_compared_side_by_side(tab, served, picture):
     tab.wait_for_selector(".chip.added:has-text('hardening')")
 
 
+@pytest.mark.slow
 def test_a_model_that_runs_away_loses_nothing(tab, served, files, picture):
     upload(tab, served, files / "soft.csv")
     tab.click("button:has-text('Compare with the model'):enabled")

@@ -193,6 +193,7 @@ def test_two_tabs_on_one_study_show_the_same(tab, chromium, served, study):
     other.close()
 
 
+@pytest.mark.slow
 def test_every_tab_of_figures_draws_and_is_accessible(tab, study, served, picture):
     """axe-core in light and in dark, on the start page and on a study, everything in it opened.
 
@@ -268,6 +269,7 @@ def test_zooming_shows_every_sample_and_stays(tab, study, picture):
     assert tab.evaluate(SEEN) == zoomed
 
 
+@pytest.mark.slow
 def test_why_an_effect_is_proposed_is_drawn_and_any_other_can_be_tried(tab, study, picture):
     tab.goto(study["address"])
     ready(tab, SECOND)

@@ -86,6 +86,7 @@ def test_a_random_flow_is_no_drift():
     assert any(k.startswith(("force", "gust")) for k in random)
 
 
+@pytest.mark.slow
 def test_a_loss_beside_a_drift_is_named_alone():
     system = oven()
     run = spiral.discover(record_of(system, 6, drift=5.0, loss=0.02), system, progress=silent)

@@ -119,6 +119,7 @@ def test_a_model_of_which_nothing_is_free_is_compared():
     assert found.chi2_per_dof == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_hold_that_is_declared_is_believed_and_its_half_sample_told():
     """Declared as a measured signal, a held input comes half a sample late."""
     run = spiral.discover(recorded("band_limited"), "oscillator", values=WRONG)

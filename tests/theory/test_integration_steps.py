@@ -1,6 +1,7 @@
 """Integration steps that a motion wants between its samples."""
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 from spiral_plugins.systems.equations import Equations
 
@@ -35,6 +36,7 @@ def _valve(dt, count, rng):
     return pressure, np.array(states)[:, 0]
 
 
+@pytest.mark.slow
 def test_friction_that_is_passed_between_two_samples_leaves_no_random_force():
     """Where it turns, friction decays 80 times in a sample; none of the samples is slow enough.
 

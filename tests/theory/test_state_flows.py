@@ -228,6 +228,7 @@ observed: [level]
 """
 
 
+@pytest.mark.slow
 def test_a_leak_beside_a_valve_is_no_lag_of_years():
     """What always flows is what a valve that stays a little open lets through.
 
