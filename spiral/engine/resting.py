@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from spiral.engine.series import Series, sample_inputs, stable_steps
+from spiral.engine.series import MOST_STABLE, Series, sample_inputs, stable_steps
 from spiral.physics.compile import CompiledModel
 from spiral.physics.trace import TracedModel
 from spiral.types.record import Array
@@ -79,6 +79,26 @@ def state_jacobian(
     u = np.ascontiguousarray(inputs, dtype=float)
     compiled.rate(x, u, np.ascontiguousarray(values), np.empty(n), a, b)
     return a if np.all(np.isfinite(a)) else np.zeros((n, n))
+
+
+def resting_jacobian(compiled: CompiledModel, values: Array, series: Series) -> Array:
+    """f_x (n, n) at rest under the largest inputs, as near to rest as the record comes.
+
+    What a channel shows is no nearer to zero than its readings. Where no number of steps would do
+    there (a concentration that divides, under zero), hidden states of first order are where they
+    rest.
+    """
+    traced, largest = compiled.traced, np.abs(series.inputs).max(axis=0, initial=0.0)
+    x = np.zeros(len(traced.states))
+    for name, channel in traced.shown.items():
+        seen = series.y[:, channel]
+        x[traced.states.index(name)] = np.clip(0.0, np.nanmin(seen), np.nanmax(seen))
+    x[x == 0] = REST
+    matrix = state_jacobian(compiled, values, largest, x)
+    if stable_steps(np.linalg.eigvals(matrix), series.dt) < MOST_STABLE:
+        return matrix
+    rest = find_rest_state(compiled, values, x, largest, hidden_of_first_order(traced))
+    return matrix if rest is None else state_jacobian(compiled, values, largest, rest)
 
 
 def steps_for_stability(compiled: CompiledModel, values: Array, series: Series) -> int:

@@ -24,7 +24,8 @@ from spiral.engine.filter.setup import choose_levels, prepare_filter, with_level
 from spiral.engine.filter.smoother import smooth_record
 from spiral.engine.filter.static import static_map
 from spiral.engine.filter.stochastic import simulate_disturbed
-from spiral.engine.filter.task import prepare_task, state_jacobian, with_record
+from spiral.engine.filter.task import prepare_task, with_record
+from spiral.engine.resting import state_jacobian
 from spiral.inference.reconstruction.consistency import mean_with_bounds, normalised_squares
 from spiral.inference.reconstruction.estimate import reconstruct_record
 from spiral.inference.reconstruction.observability import observability

@@ -14,10 +14,11 @@ import spiral
 from experiments.studies.signals import band_limited
 from spiral.engine.filter.noise import sampled_covariance
 from spiral.engine.filter.setup import prepare_filter
-from spiral.engine.filter.task import prepare_task, state_jacobian
+from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.noise import first_noise
 from spiral.engine.likelihood.predict import predict_readings
+from spiral.engine.resting import state_jacobian
 from spiral.inference.compare import compare
 from spiral.inference.evidence.horizons import FilterNoise, forecast_misses
 from spiral.inference.problem import Problem

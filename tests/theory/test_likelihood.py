@@ -16,11 +16,11 @@ from spiral_plugins.strategies.likelihood import Likelihood
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
-from spiral.engine.filter.task import state_jacobian
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, noise_matrices
 from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
 from spiral.engine.likelihood.predict import log_likelihood, predict_readings
+from spiral.engine.resting import state_jacobian
 from spiral.inference.likelihood import candidates
 from spiral.inference.likelihood.fitting import fit_by_likelihood
 from spiral.inference.likelihood.scores import predicted_motion, rank_candidates

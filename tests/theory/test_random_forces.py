@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import expm
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.engine.filter.task import state_jacobian
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise
+from spiral.engine.resting import state_jacobian
 from spiral.inference.likelihood.comparison import reportable_noise
 from spiral.inference.likelihood.fitting import (
     continue_fit,

@@ -5,8 +5,14 @@ import pytest
 
 import spiral
 from spiral.engine import resting
+from spiral.engine.filter.task import enough_substeps
 from spiral.engine.kernel import trajectories
-from spiral.engine.resting import find_rest_state, hidden_of_first_order, steps_for_stability
+from spiral.engine.resting import (
+    find_rest_state,
+    hidden_of_first_order,
+    resting_jacobian,
+    steps_for_stability,
+)
 from spiral.engine.series import MOST_SUBSTEPS, prepare_series, stable_steps
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -90,6 +96,25 @@ def test_a_stiff_model_is_simulated(reactor):
     start = {"n": 1.0, "c": 81.25, "T": 600.0}
     record = spiral.simulate(reactor[0], 200 * STEP, 1 / STEP, inputs={"rho": rho}, start=start)
     assert 0.5 < record.channels["n"].min() < record.channels["n"].max() < 2.0
+
+
+@pytest.mark.parametrize("seen", ["x", "level = log(x/s)"])
+def test_a_state_that_is_never_zero_asks_for_no_steps_there(seen):
+    """x' = a (u s / x - x): at zero its rate is beyond all steps, at its readings it is slow."""
+    system = spiral.system(
+        ["x' = a*(u*s/x - x)"], states={"x": "kg/m^3"}, inputs={"u": "kg/m^3"}, observed=[seen],
+        parameters={"a": "0.05 1/s", "s": "1 kg/m^3"},
+    )  # fmt: skip
+    compiled = compile_model(trace(system, ()), ())
+    time = np.arange(100) * 0.5
+    x = 1.4 + 0.6 * np.sin(time)
+    channel = seen.split()[0]
+    readings = {channel: x if channel == "x" else np.log(x)}
+    series = prepare_series(system, Record("r", time, readings, {"u": x**2}), 1)
+    assert enough_substeps(compiled, np.array([0.05, 1.0]), series) == 1
+    fastest = -resting_jacobian(compiled, np.array([0.05, 1.0]), series)[0, 0]
+    where = x.min() if channel == "x" else x.max()  # as it is seen; where it rests
+    assert fastest == pytest.approx(0.05 * ((x.max() / where) ** 2 + 1), rel=1e-6)
 
 
 def test_steps_for_stability_are_those_of_decay_and_swing_not_of_growth():

@@ -23,7 +23,7 @@ from spiral.engine.resting import (
     find_rest_state,
     finite_state,
     hidden_of_first_order,
-    state_jacobian,
+    resting_jacobian,
     steps_for_stability,
 )
 from spiral.engine.series import MOST_SUBSTEPS, Series, prepare_series
@@ -243,7 +243,7 @@ def enough_substeps(compiled: CompiledModel, values: Array, series: Series) -> i
 
     At most ``MOST_SUBSTEPS``, or those that are needed for stability (``steps_for_stability``).
     """
-    matrix = state_jacobian(compiled, values, np.abs(series.inputs).max(axis=0, initial=0.0))
+    matrix = resting_jacobian(compiled, values, series)
     fastest = float(np.abs(np.linalg.eigvals(matrix)).max()) * series.dt
     precise = int(np.clip(np.ceil(fastest / _STEP), 1, MOST_SUBSTEPS))
     return max(precise, steps_for_stability(compiled, values, series))

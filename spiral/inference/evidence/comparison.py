@@ -8,7 +8,7 @@ import numpy as np
 
 from spiral.engine.fit import standard_deviations
 from spiral.engine.growth import Stage
-from spiral.engine.resting import state_jacobian, steps_for_stability
+from spiral.engine.resting import resting_jacobian, steps_for_stability
 from spiral.engine.sensitivities import residuals
 from spiral.engine.series import steps_per_sample
 from spiral.engine.statistics import whiteness
@@ -64,8 +64,7 @@ def substeps_for(assembly: Assembly, row: np.ndarray) -> int:
     """Steps per sample for the fastest mode at rest, at the largest inputs, and for stability."""
     compiled, exact_to, steps = assembly.study.compiled, assembly.problem.model.system.exact_to, 1
     for series in assembly.study.series:
-        largest = np.abs(series.inputs).max(axis=0, initial=0.0)
-        modes = np.linalg.eigvals(state_jacobian(compiled, row, largest))
+        modes = np.linalg.eigvals(resting_jacobian(compiled, row, series))
         steps = max(
             steps,
             steps_per_sample(modes, series.dt, exact_to),
