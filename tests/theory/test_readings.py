@@ -92,6 +92,25 @@ def test_a_formula_that_is_none_is_refused_with_its_place(observed, said):
         equations(TWO, observed=observed)
 
 
+@pytest.mark.parametrize(
+    ("formula", "unit"),
+    [
+        ("yield_*mu*S/(Ks + S)*X", "kg/m^3/s"),
+        ("X*sqrt(S/(Ks + S))", "kg/m^3"),
+        ("abs(S - X)*mu", "kg/m^3/s"),
+        ("1/(Ks + S)", "m^3/kg"),
+    ],
+)
+def test_a_formula_has_the_unit_that_follows_also_of_a_sum_under_a_quotient(formula, unit):
+    system = equations({
+        "equations": ["X' = mu*S/(Ks + S)*X - D*X", "S' = -yield_*mu*S/(Ks + S)*X + D*(F - S)"],
+        "states": {"X": "kg/m^3", "S": "kg/m^3"}, "inputs": {"D": "1/s", "F": "kg/m^3"},
+        "parameters": {"mu": "1e-4 1/s", "Ks": "1.2 kg/m^3", "yield_": "2 1"},
+        "observed": [f"r = {formula}"],
+    })  # fmt: skip
+    assert system.unit_of("r") == unit
+
+
 def test_a_rate_of_first_order_is_a_reading():
     system = equations({
         "equations": ["C*T' = P - h*T"], "states": {"T": "K"}, "inputs": {"P": "W"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 import sympy as sp
@@ -63,8 +64,7 @@ def _formula_unit(
     if not wanted.known:
         return ""
     usual = [u for u in ("N", "N*m", *given.units.values()) if u and dimension(u) == wanted]
-    term = sp.Add.make_args(sp.expand(value))[0]
-    powers = [(str(s), e) for s, e in term.as_powers_dict().items() if s.is_Symbol]
+    powers = [(name, e) for name, e in _powers_of_names(sp.expand(value)).items() if e != 0]
     unit = "*".join(f"({units[n] or '1'})^({e})" for n, e in powers)
     if [e for _, e in powers] == [1]:
         unit = units[powers[0][0]]
@@ -76,3 +76,15 @@ def _formula_unit(
     raise ConfigError(
         f"{text!r}, whose unit is not plain", "a product, or a sum of products, or units of SI"
     )
+
+
+def _powers_of_names(value: sp.Expr) -> Counter[str]:
+    """Name -> its power in a formula's unit: of the first term of a sum, also under a quotient."""
+    powers: Counter[str] = Counter()
+    for base, exponent in sp.Add.make_args(value)[0].as_powers_dict().items():
+        inner = base.args[0] if isinstance(base, sp.Abs) else base
+        if base.is_Symbol:
+            powers[str(base)] += exponent
+        elif inner.is_Symbol or inner.is_Add:
+            powers.update({n: e * exponent for n, e in _powers_of_names(inner).items()})
+    return powers
