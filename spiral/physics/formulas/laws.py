@@ -237,6 +237,11 @@ FLOWS = (
 )
 
 
+def law_names() -> tuple[str, ...]:
+    """All laws by name, those of springs, of friction and of losses."""
+    return tuple(law.name for law in (*SPRINGS, *FRICTIONS, *FLOWS))
+
+
 def law_meaning(effect: Effect) -> str:
     """What a law of this module is, in words within a sentence; empty for any other effect."""
     name = effect.plugin_name()

@@ -68,6 +68,8 @@ def _print_plugins(console: Console, outcome: Outcome) -> None:
             origin = entry.origin if entry.origin == "local" else f"{entry.origin} {entry.version}"
             table.add_row(Text(entry.name, style="bold"), Text(entry.plugin.meaning()), origin)
         console.print(table)
+        if kind == "effect" and (not outcome.parts["asked"] or kind in outcome.parts["asked"]):
+            _print_laws(console)
     for entry in (e for e in entries if e.name in outcome.parts["asked"]):
         _print_explanation(console, entry.plugin)
         if entry.kind in ("effect", "system"):
@@ -78,6 +80,15 @@ def _print_plugins(console: Console, outcome: Outcome) -> None:
     for failure in outcome.parts["failures"]:
         console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
         console.print(Text(f"    {failure.message}"))
+
+
+def _print_laws(console: Console) -> None:
+    """What is tried where no effect passes."""
+    from spiral.physics.formulas.laws import law_names
+
+    names = ", ".join(law_names())
+    console.print(Text(f"where none of them passes, laws in closed form are tried: {names}; then "
+                       "parameters that vary, and curves", "dim"))  # fmt: skip
 
 
 def _print_explanation(console: Console, plugin: type) -> None:
