@@ -16,9 +16,8 @@ from spiral.types.cache import kept
 from spiral.types.parameter import Input, Parameter, State
 
 _SAME = 1e-9  # of a value, by which it may differ for rounding
-_SHIFT = 0.37  # of a state and an input together, or of a parameter
-_SMALL = 1e-4  # step of a slope, and the least that counts as one
-_LIKE = 1e-3  # of a slope, by which it may differ from another
+_SHIFT = 0.37  # of states and inputs together, or of a parameter
+_LIKE = 1e-6  # of a change, by which another may differ from it for rounding
 
 
 class ProbedSystem(Protocol):
@@ -76,9 +75,7 @@ def follows_input(system: ProbedSystem, state: str, given: str) -> bool:
     try:
         x, u, p = _point(system)
         nothing = {i.name: 0.0 for i in system.injections}
-        moved_x, moved_u = SimpleNamespace(**vars(x)), SimpleNamespace(**vars(u))
-        setattr(moved_x, state, getattr(x, state) + _SHIFT)
-        setattr(moved_u, given, getattr(u, given) + _SHIFT)
+        moved_x, moved_u = _moved(x, (state,)), _moved(u, (given,))
         here, both, alone = (
             system.rate(*at, p, nothing)[state] for at in ((x, u), (moved_x, moved_u), (x, moved_u))
         )
@@ -96,11 +93,8 @@ def is_balance_of(system: ProbedSystem, one: str, other: str) -> bool:
     try:
         x, u, p = _point(system)
         nothing = {i.name: 0.0 for i in system.injections}
-        both, alone = SimpleNamespace(**vars(x)), SimpleNamespace(**vars(x))
-        for name in (one, other):
-            setattr(both, name, getattr(x, name) + _SHIFT)
-        setattr(alone, one, getattr(x, one) + _SHIFT)
-        here, moved, apart = (system.rate(at, u, p, nothing) for at in (x, both, alone))
+        points = (x, _moved(x, (one, other)), _moved(x, (one,)))
+        here, moved, apart = (system.rate(at, u, p, nothing) for at in points)
         third = (s.name for s in system.states if s.name not in (one, other))
         return any(_is_same(here[k], moved[k]) and not _is_same(here[k], apart[k]) for k in third)
     except Exception:
@@ -111,63 +105,44 @@ def is_balance_of(system: ProbedSystem, one: str, other: str) -> bool:
 def lines_of(system: ProbedSystem, coordinates: tuple[tuple[str, str], ...]) -> dict[str, int]:
     """The line that each coordinate is on; ``coordinates`` are their names with their rates' names.
 
-    Two are on one line where some parameter acts on both by differences alone (a spring, a damper),
-    and so are those of a chain of such pairs.
+    Those are on one line that a parameter joins (a spring, a damper), and so are those of a chain.
     """
-    names = [name for name, _ in coordinates]
-    line = {name: k for k, name in enumerate(names)}
+    line = {name: k for k, (name, _) in enumerate(coordinates)}
     try:
-        x, u, p = _point(system)
         for parameter in system.parameters:
-            slopes = _slopes_by_parameter(system, x, u, p, parameter.name, coordinates)
-            for a, b in itertools.combinations(names, 2):
-                if _is_of_differences(slopes[a], b) and _is_of_differences(slopes[b], a):
-                    line = {n: line[a] if k == line[b] else k for n, k in line.items()}
+            joined = {line[name] for name in _joined_by(system, parameter.name, coordinates)}
+            line = {n: min(joined) if k in joined else k for n, k in line.items()}
     except Exception:
         return line
     return line
 
 
-Slopes = dict[str, dict[str, tuple[float, float]]]
-"""Coordinate -> coordinate -> how its acceleration changes with the other's place and rate."""
+def _joined_by(
+    system: ProbedSystem, parameter: str, coordinates: tuple[tuple[str, str], ...]
+) -> list[str]:
+    """Coordinates on whose accelerations a parameter acts by their differences alone.
 
-
-def _slopes_by_parameter(
-    system: ProbedSystem, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace,
-    parameter: str, coordinates: tuple[tuple[str, str], ...],
-) -> Slopes:  # fmt: skip
-    """How much a parameter's own part of each acceleration changes as each coordinate moves."""
-    nothing = {i.name: 0.0 for i in system.injections}
-    more = SimpleNamespace(**vars(p))
-    setattr(more, parameter, getattr(p, parameter) + _SHIFT)
-
-    def own_part(at: SimpleNamespace) -> dict[str, float]:
-        here, there = (system.rate(at, u, values, nothing) for values in (p, more))
-        return {n: float(there[rate]) - float(here[rate]) for n, rate in coordinates}
-
-    def slope(state: str) -> dict[str, float]:
-        back, ahead = SimpleNamespace(**vars(x)), SimpleNamespace(**vars(x))
-        setattr(back, state, getattr(x, state) - _SMALL)
-        setattr(ahead, state, getattr(x, state) + _SMALL)
-        before, after = own_part(back), own_part(ahead)
-        return {n: (after[n] - before[n]) / (2 * _SMALL) for n in before}
-
-    by_state = {n: (slope(n), slope(rate)) for n, rate in coordinates}
-    return {
-        n: {m: (place[n], rate[n]) for m, (place, rate) in by_state.items()} for n, _ in coordinates
-    }
-
-
-def _is_of_differences(slopes: dict[str, tuple[float, float]], other: str) -> bool:
-    """Whether an acceleration goes by differences of places, or of rates, one of them another's.
-
-    It is then the same wherever all of them are together.
+    Its part of them changes as one of them moves, and does not as all move together.
     """
-    for kind in (0, 1):
-        all_ = [of[kind] for of in slopes.values()]
-        if abs(slopes[other][kind]) > _SMALL and abs(sum(all_)) <= _LIKE * max(map(abs, all_)):
-            return True
-    return False
+    x, u, p = _point(system)
+    more, nothing = _moved(p, (parameter,)), {i.name: 0.0 for i in system.injections}
+
+    def part(at: SimpleNamespace) -> dict[str, float]:
+        without, with_more = (system.rate(at, u, values, nothing) for values in (p, more))
+        return {n: float(with_more[rate]) - float(without[rate]) for n, rate in coordinates}
+
+    here, together = part(x), part(_moved(x, itertools.chain(*coordinates)))
+    least = _LIKE * max(map(abs, (*here.values(), *together.values())), default=0.0)
+    acted_on = [
+        pair for pair in coordinates if max(abs(here[pair[0]]), abs(together[pair[0]])) > least
+    ]
+    changes = {n: abs(part(_moved(x, (n, rate)))[n] - here[n]) for n, rate in acted_on}
+    return [n for n, c in changes.items() if c > least and abs(together[n] - here[n]) <= _LIKE * c]
+
+
+def _moved(at: SimpleNamespace, names: Iterable[str]) -> SimpleNamespace:
+    """The same numbers, some of them larger by as much."""
+    return SimpleNamespace(**{**vars(at), **{n: getattr(at, n) + _SHIFT for n in names}})
 
 
 def _point(system: ProbedSystem) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
