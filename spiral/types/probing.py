@@ -85,20 +85,32 @@ def follows_input(system: ProbedSystem, state: str, given: str) -> bool:
 
 
 @kept(64)
-def is_balance_of(system: ProbedSystem, one: str, other: str) -> bool:
-    """Whether a third state's rate depends on two states by their difference alone.
+def balanced_states(system: ProbedSystem, names: tuple[str, ...]) -> frozenset[frozenset[str]]:
+    """Pairs of these states on whose difference alone a third state's rate depends.
 
     What flows into a tank, and out of it, are such states: A z' = Q - q.
     """
     try:
         x, u, p = _point(system)
         nothing = {i.name: 0.0 for i in system.injections}
-        points = (x, _moved(x, (one, other)), _moved(x, (one,)))
-        here, moved, apart = (system.rate(at, u, p, nothing) for at in points)
-        third = (s.name for s in system.states if s.name not in (one, other))
-        return any(_is_same(here[k], moved[k]) and not _is_same(here[k], apart[k]) for k in third)
+
+        def changed(*moved: str) -> set[str]:
+            rates = system.rate(_moved(x, moved), u, p, nothing)
+            return {n for n, rate in rates.items() if not _is_same(rate, here[n])} - {*moved}
+
+        here = system.rate(x, u, p, nothing)
+        alone = {name: changed(name) for name in names}
+        pairs = (
+            (one, other, (alone[one] & alone[other]) - {one, other})
+            for one, other in itertools.combinations(names, 2)
+        )
+        return frozenset(
+            frozenset((one, other))
+            for one, other, both in pairs
+            if both and both - changed(one, other)
+        )
     except Exception:
-        return False
+        return frozenset()
 
 
 @kept(64)

@@ -16,7 +16,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
 from spiral.types.port import Port
-from spiral.types.probing import follows_input, is_balance_of, lines_of
+from spiral.types.probing import balanced_states, follows_input, lines_of
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -192,10 +192,11 @@ class System(Plugin):
             for u in self.inputs
             if u.unit == units[i.name] and (u.unit or follows_input(self, i.name, u.name))
         ]
+        differences = balanced_states(self, tuple(i.name for i in own))
         balanced = [
             (i, j.name)
             for i, j in itertools.permutations(own, 2)
-            if units[i.name] == units[j.name] and is_balance_of(self, i.name, j.name)
+            if units[i.name] == units[j.name] and {i.name, j.name} in differences
         ]
         return (
             *(_state_port(units, i) for i in own),

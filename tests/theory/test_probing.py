@@ -7,7 +7,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
 from spiral.physics.trace import trace
-from spiral.types.probing import follows_input, is_balance_of, readings_with_rates
+from spiral.types.probing import balanced_states, follows_input, readings_with_rates
 from spiral.types.record import make_record
 
 
@@ -54,12 +54,12 @@ def surge_tank(level="(Q - q)/A"):
 
 def test_flows_that_a_tank_balances_have_places_against_each_other():
     """What throttles the tank's mouth follows their difference, and acts on either."""
-    assert is_balance_of(surge_tank(), "Q", "q")
+    assert balanced_states(surge_tank(), ("Q", "z", "q")) == {frozenset("Qq")}
     names = [p.name for p in surge_tank().filled]
     assert names == ["state Q", "state z", "state q", "state Q-u", "state q-u", "state Q-q",
                      "state q-Q", "states Q-q"]  # fmt: skip
     other = surge_tank("Q/A - 2*q/A")
-    assert not is_balance_of(other, "Q", "q")
+    assert not balanced_states(other, ("Q", "z", "q"))
     assert "state Q-q" not in [p.name for p in other.filled]
 
 
