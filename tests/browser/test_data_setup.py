@@ -154,6 +154,7 @@ def test_what_a_record_cannot_tell_is_said_before_any_fit(tab, served, files, pi
     assert faults(tab) == []
 
 
+@pytest.mark.slow
 def test_equations_typed_into_a_box_are_the_system(tab, served, files, picture):
     """A mistake is told beside the box; what is right is fitted, and what it lacks is ranked."""
     rows = (files / "run1.csv").read_text().replace("t,x,force", "t,x,F", 1).splitlines()

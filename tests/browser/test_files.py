@@ -118,6 +118,7 @@ def test_a_file_becomes_a_study(tab, served, files, picture):
     tab.wait_for_selector("button[aria-label='Add cubic stiffness']:enabled")
 
 
+@pytest.mark.slow
 def test_a_machine_that_works_in_volts_needs_no_typing_but_its_units(tab, served, files, picture):
     """The message about a unit of another kind offers the setting; a click takes it over."""
     rows = np.loadtxt(files / "rig.csv", delimiter=";", skiprows=2)

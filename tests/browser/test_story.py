@@ -320,6 +320,7 @@ def test_a_link_opens_the_same_view_of_steps_side_by_side(tab, chromium, served,
     other.close()
 
 
+@pytest.mark.slow
 def test_every_step_is_a_run_that_mlflow_knows(tab, study, served):
     import json
 
