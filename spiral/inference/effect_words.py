@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from spiral.physics.formulas.laws import law_meaning
@@ -14,9 +14,15 @@ from spiral.types.run import Round
 from spiral.types.system import System, place_name
 
 
-def name_effects(model: Model, rounds: Sequence[Round], labels: Sequence[str]) -> str:
-    """Effects of a model with their places and look-alikes, as words of a sentence."""
-    admitted = {x for r in rounds for x in r.admitted if x in model.labels}
+def admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Effects that were admitted and that the last model still has."""
+    held = rounds[-1].comparison.model.labels
+    return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
+
+
+def name_effects(rounds: Sequence[Round], labels: Sequence[str]) -> str:
+    """Effects of the last model with their places and look-alikes, as words of a sentence."""
+    model, admitted = rounds[-1].comparison.model, admitted_labels(rounds)
     return ", ".join(
         _label_with_place(model, x) + _look_alikes_clause(model, rounds, x, admitted)
         for x in labels
@@ -24,7 +30,7 @@ def name_effects(model: Model, rounds: Sequence[Round], labels: Sequence[str]) -
 
 
 def _look_alikes_clause(
-    model: Model, rounds: Sequence[Round], label: str, admitted: Collection[str]
+    model: Model, rounds: Sequence[Round], label: str, admitted: tuple[str, ...]
 ) -> str:
     """An effect's look-alikes, in brackets; empty where there are none.
 

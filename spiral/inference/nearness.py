@@ -43,6 +43,14 @@ _CHANCE = 2.0  # standard errors that an error ahead grows by chance once in for
 _COLOUR = 0.25  # share of what is left, half its deviation, up to which its own past may tell it
 
 
+def has_little_colour(p: float, effect: float, settings: Settings) -> bool:
+    """Whether a whiteness test finds none, or a colour that is smaller than any effect that counts.
+
+    ``p`` is its p-value, ``effect`` its size, as in ``Whiteness``.
+    """
+    return p >= settings.whiteness_level or effect <= settings.smallest**2
+
+
 def is_residual_white(comparison: Comparison, settings: Settings) -> bool:
     """Whether the residual is white, or its colour harmless.
 
@@ -50,12 +58,9 @@ def is_residual_white(comparison: Comparison, settings: Settings) -> bool:
     by motion or inputs; or where it belongs to a sensor whose noise is not white: no random force
     acts, and the free run is as near to the record as that noise lets it.
     """
-    small = comparison.whiteness_effect <= settings.smallest**2
-    if (
-        comparison.whiteness_p >= settings.whiteness_level
-        or small
-        or has_own_colour(comparison, settings)
-    ):
+    if has_little_colour(comparison.whiteness_p, comparison.whiteness_effect, settings):
+        return True
+    if has_own_colour(comparison, settings):
         return True
     at_floor = comparison.test_error <= _AT_FLOOR * comparison.noise_floor
     return bool(coloured_noise(comparison)) and at_floor and not random_forces(comparison)
@@ -63,12 +68,9 @@ def is_residual_white(comparison: Comparison, settings: Settings) -> bool:
 
 def has_own_colour(comparison: Comparison, settings: Settings) -> bool:
     """Whether what is left has a colour that counts, and neither motion nor inputs explain it."""
-    least = settings.smallest**2
-    counts = (
-        comparison.whiteness_p < settings.whiteness_level and comparison.whiteness_effect > least
-    )
-    alone = comparison.followed is not None and comparison.followed <= least
-    return counts and alone and comparison.whiteness_effect <= _COLOUR
+    little = has_little_colour(comparison.whiteness_p, comparison.whiteness_effect, settings)
+    alone = comparison.followed is not None and comparison.followed <= settings.smallest**2
+    return not little and alone and comparison.whiteness_effect <= _COLOUR
 
 
 def evidence_chi2(comparison: Comparison) -> float:

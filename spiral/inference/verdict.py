@@ -17,7 +17,7 @@ from spiral.inference.disturbances import (
     record_sentence,
     what_acts,
 )
-from spiral.inference.effect_words import name_effects
+from spiral.inference.effect_words import admitted_labels, name_effects
 from spiral.inference.identifiability.undetermined import (
     describe_held_parameters,
     describe_undetermined_parameters,
@@ -95,7 +95,7 @@ def undetermined_effects(model: Model, added: Sequence[str], settings: Settings)
 def determined_effects(rounds: Sequence[Round], settings: Settings) -> tuple[str, ...]:
     """Admitted effects that the final model still has and determines (see the module)."""
     return tuple(
-        x for x in _admitted_labels(rounds) if not reasons_for_doubt(rounds[-1], x, settings)
+        x for x in admitted_labels(rounds) if not reasons_for_doubt(rounds[-1], x, settings)
     )
 
 
@@ -133,11 +133,6 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
 def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:
     """Whether one learned curve explains more than the effects that were admitted do together."""
     return bool(rounds[-1].details.get("unknown", {}).get("replaces"))
-
-
-def _admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
-    held = rounds[-1].comparison.model.labels
-    return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
 
 
 def _has_error_grown(rounds: Sequence[Round], settings: Settings) -> bool:
@@ -271,7 +266,7 @@ def study_summary(
     rounds: Sequence[Round], verdict: Verdict, stopped: StopReason, settings: Settings
 ) -> str:
     """What a study found, with its figures, in sentences for a report."""
-    admitted = _admitted_labels(rounds)
+    admitted = admitted_labels(rounds)
     last = rounds[-1].comparison
     if not admitted:
         if stopped == "diverged":
@@ -325,7 +320,7 @@ def _unconfirmed_sentence(comparison: Comparison, settings: Settings) -> str:
 def interrupted_summary(rounds: Sequence[Round], settings: Settings) -> str:
     """What a study knows that was stopped in the middle of its search, in sentences."""
     last = rounds[-1].comparison
-    if not (admitted := _admitted_labels(rounds)):
+    if not (admitted := admitted_labels(rounds)):
         return _unconfirmed_sentence(last, settings)
     change = _change_sentence(rounds, admitted, settings)
     return f"{change} {_remainder_sentence(last, settings)}".strip()
@@ -370,15 +365,15 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
 
 def _missing_sentence(rounds: Sequence[Round], named: tuple[str, ...], change: str) -> str:
     """What was missing, and what it did to the error; what is smaller than the noise comes last."""
-    model, (before, small) = rounds[-1].comparison.model, _smaller_than_noise(rounds, named)
+    before, small = _smaller_than_noise(rounds, named)
     main = tuple(x for x in named if x not in small)
     if main and small:
         change = _error_clause(rounds[0].comparison, before)
     was = "was" if len(main or named) == 1 else "were"
-    said = f"Missing {was} {name_effects(model, rounds, main or named)}: {change}."
+    said = f"Missing {was} {name_effects(rounds, main or named)}: {change}."
     if main and small:
         change = _error_clause(before, rounds[-1].comparison)
-        said += f" Missing too, and smaller than the noise: {name_effects(model, rounds, small)}; "
+        said += f" Missing too, and smaller than the noise: {name_effects(rounds, small)}; "
         said += f"{change}."
     elif small:
         said += " What that does is smaller than the noise."

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import random
 from collections.abc import Iterable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any, Protocol
 
@@ -120,12 +121,10 @@ def lines_of(system: ProbedSystem, coordinates: tuple[tuple[str, str], ...]) -> 
     Those are on one line that a parameter joins (a spring, a damper), and so are those of a chain.
     """
     line = {name: k for k, (name, _) in enumerate(coordinates)}
-    try:
+    with suppress(Exception):
         for parameter in system.parameters:
             joined = {line[name] for name in _joined_by(system, parameter.name, coordinates)}
             line = {n: min(joined) if k in joined else k for n, k in line.items()}
-    except Exception:
-        return line
     return line
 
 

@@ -29,6 +29,7 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.horizons import tracked_deviations
 from spiral.inference.evidence.scales import covering_samples
 from spiral.inference.evidence.spectrum import shortest_time_constant
+from spiral.inference.nearness import has_little_colour
 from spiral.types.label import owner_of
 from spiral.types.noise import FORCES
 from spiral.types.record import Array
@@ -341,8 +342,8 @@ def is_nearly_white(assembly: Assembly, fit: LikelihoodFit) -> bool:
 
     In a long record any colour is significant; of one so small no other start has the reason.
     """
-    tested, settings = innovation_whiteness(assembly, fit), assembly.problem.settings
-    return tested.p >= settings.whiteness_level or tested.effect <= settings.smallest**2
+    tested = innovation_whiteness(assembly, fit)
+    return has_little_colour(tested.p, tested.effect, assembly.problem.settings)
 
 
 def schwarz_penalty(parameters: int, prepared: FilterInputs) -> float:
