@@ -81,24 +81,28 @@ def state_jacobian(
     return a if np.all(np.isfinite(a)) else np.zeros((n, n))
 
 
-def resting_jacobian(compiled: CompiledModel, values: Array, series: Series) -> Array:
-    """f_x (n, n) at rest under the largest inputs, as near to rest as the record comes.
+def resting_jacobian(
+    compiled: CompiledModel, values: Array, series: Series, inputs: Array | None = None
+) -> Array:
+    """f_x (n, n) at rest under ``inputs``, by default the largest, as near as the record comes.
 
     What a channel shows is no nearer to zero than its readings. Where no number of steps would do
     there (a concentration that divides, under zero), hidden states of first order are where they
     rest.
     """
-    traced, largest = compiled.traced, np.abs(series.inputs).max(axis=0, initial=0.0)
+    traced = compiled.traced
+    largest: Array = np.abs(series.inputs).max(axis=0, initial=0.0)
+    u = largest if inputs is None else inputs
     x = np.zeros(len(traced.states))
     for name, channel in traced.shown.items():
         seen = series.y[:, channel]
         x[traced.states.index(name)] = np.clip(0.0, np.nanmin(seen), np.nanmax(seen))
     x[x == 0] = REST
-    matrix = state_jacobian(compiled, values, largest, x)
+    matrix = state_jacobian(compiled, values, u, x)
     if stable_steps(np.linalg.eigvals(matrix), series.dt) < MOST_STABLE:
         return matrix
-    rest = find_rest_state(compiled, values, x, largest, hidden_of_first_order(traced))
-    return matrix if rest is None else state_jacobian(compiled, values, largest, rest)
+    rest = find_rest_state(compiled, values, x, u, hidden_of_first_order(traced))
+    return matrix if rest is None else state_jacobian(compiled, values, u, rest)
 
 
 def steps_for_stability(compiled: CompiledModel, values: Array, series: Series) -> int:

@@ -244,8 +244,10 @@ def test_a_state_that_is_never_zero_may_divide_and_stand_under_a_logarithm(readi
     seen = x if channel == "x" else np.log(x)
     seen = seen + 0.01 * seen.std() * rng.normal(size=x.size)
     record = make_record(system, "never zero", time, {channel: seen}, {"u": u})
-    found = spiral.compare(record, system).model.estimates()["system"]["a"]
+    result = spiral.compare(record, system)
+    found = result.model.estimates()["system"]["a"]
     assert abs(found.estimate - 0.05) < 3 * found.se
+    assert not result.contradictions  # its time is in s
 
 
 def test_a_free_parameter_in_no_equation_is_refused():

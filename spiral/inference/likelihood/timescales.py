@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from spiral.engine.filter.task import FilterInput
-from spiral.engine.resting import state_jacobian
+from spiral.engine.resting import resting_jacobian
 from spiral.types.formatting import number
 
 _GONE = 6.0  # time constants within one sample after which nothing of a motion is left
@@ -26,7 +26,8 @@ def time_scale_sentences(task: FilterInput, given: Mapping[str, float]) -> tuple
     ``given`` : values of parameters by name, in place of the task's.
     """
     values = np.array([given.get(k, v) for k, v in zip(task.keys, task.values, strict=True)])
-    rates = np.abs(np.linalg.eigvals(state_jacobian(task.compiled, values, task.mean_inputs)))
+    matrix = resting_jacobian(task.compiled, values, task.series, task.mean_inputs)
+    rates = np.abs(np.linalg.eigvals(matrix))
     rates = rates[rates > 1e-9 * rates.max(initial=0.0)]
     if not len(rates) or not np.all(np.isfinite(rates)):
         return ()
