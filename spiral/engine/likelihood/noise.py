@@ -44,7 +44,7 @@ EXTRA: tuple[Kind, ...] = (*COLOURED, "drift", *CORRELATED)
 """Kinds beyond white noise and a white force."""
 
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
-_LEVEL = 1e-5  # least level of a force
+LEAST_FORCE = 1e-5  # its least level
 OWN = 1.0  # its largest: beside a random force above the machine's own no term can be identified
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8
@@ -161,7 +161,7 @@ def size_limits(task: FilterInput, name: str) -> tuple[float, float]:
     if where == "damping":
         return _RINGING, _DEAD if kind == "vibration" else _BROAD
     if kind in FORCES:
-        return _LEVEL, OWN
+        return LEAST_FORCE, OWN
     channels = task.compiled.traced.channels
     spread = float(task.series.deviations[channels.index(where)]) or 1.0
     if kind == "drift":
@@ -257,7 +257,10 @@ class _Block:
 
 
 def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
+    """The processes of a term; none where its size is the least, at which it does nothing."""
     dt, size = task.series.dt, values[term.size]
+    if size <= size_limits(task, term.size)[0]:
+        return []
     if term.kind == "force":
         at_once = np.flatnonzero(task.felt.any(axis=0))
         if not at_once.size:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import FilterInput, build_task, with_start_spread
 from spiral.engine.likelihood.fit import MaximumLikelihood, SlopeCache, maximise_likelihood
 from spiral.engine.likelihood.noise import (
+    LEAST_FORCE,
     NoiseModel,
     NoiseTerm,
     drop_inapplicable_forces,
@@ -19,6 +21,8 @@ from spiral.engine.likelihood.noise import (
 from spiral.engine.likelihood.predict import (
     FilterInputs,
     Masks,
+    Prediction,
+    predict_cases,
     predict_readings,
 )
 from spiral.engine.resting import state_jacobian
@@ -337,13 +341,37 @@ def is_white(assembly: Assembly, fit: LikelihoodFit) -> bool:
     return innovation_whiteness(assembly, fit).p >= assembly.problem.settings.whiteness_level
 
 
-def is_nearly_white(assembly: Assembly, fit: LikelihoodFit) -> bool:
-    """Whether the innovations are white, or their colour is smaller than any effect that counts.
+def is_start_settled(assembly: Assembly, fit: LikelihoodFit) -> bool:
+    """Whether no other start has anything to find: what is left is small, or is no motion.
 
-    In a long record any colour is significant; of one so small no other start has the reason.
+    The innovations are white, or their colour is smaller than any effect that counts (in a long
+    record any colour is significant); or the model follows the records without correction.
     """
     tested = innovation_whiteness(assembly, fit)
-    return has_little_colour(tested.p, tested.effect, assembly.problem.settings)
+    little = has_little_colour(tested.p, tested.effect, assembly.problem.settings)
+    return little or is_uncorrected_motion_right(fit, assembly.problem.settings.chi2_limit)
+
+
+def is_uncorrected_motion_right(fit: LikelihoodFit, limit: float) -> bool:
+    """Whether the model misses hardly more where nothing corrects it.
+
+    At the same values, with white noise as large as the innovations and no random force, the misses
+    of every channel have at most ``limit`` times the innovations' energy. What forces and coloured
+    noise hide is then smaller than the noise, and other values have nothing larger to find.
+    """
+    if not fit.estimate.finite:
+        return False
+    prepared, before = fit.estimate.prepared, _miss_energies(fit.estimate.predictions)
+    seen = np.sum([np.sum(p.spreads > 0, axis=0) for p in fit.estimate.predictions], axis=0)
+    alone = first_noise(prepared[0][0], LEAST_FORCE, np.sqrt(before / np.maximum(seen, 1)))
+    parts = predict_cases([(prepared, alone)])[0]
+    held = all(p.whole for p in parts)
+    return held and bool(np.all(_miss_energies(parts) <= limit * before))
+
+
+def _miss_energies(parts: Sequence[Prediction]) -> Array:
+    """(channels,) summed squares of what is missed, over all records."""
+    return np.sum([np.sum(p.misses**2, axis=0) for p in parts], axis=0)
 
 
 def schwarz_penalty(parameters: int, prepared: FilterInputs) -> float:

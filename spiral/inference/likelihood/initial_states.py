@@ -16,8 +16,8 @@ linear machine both sides are equal; else the larger is nearer to the truth.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,11 +52,15 @@ _TIMES = (100.0, 10.0)  # c: initial spread of the filter over the smoothed devi
 
 @dataclass(frozen=True)
 class InitialState:
-    """Mean (n,) and spread (n,) of an initial state; log-likelihood of the first samples."""
+    """Mean (n,) and spread (n,) of an initial state; log-likelihood of the first samples.
+
+    ``deviations`` (n,) that these leave of it, where a smoother has told it.
+    """
 
     start: Array
     spread: Array
     log_likelihood: float
+    deviations: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def refit_initial_states(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
@@ -185,16 +189,35 @@ def likely_initial_state(task: FilterInput, noise: NoiseModel) -> InitialState:
     begun = best = replace(
         _evaluate_initial_state(head, noise, task.start, task.spread), start=task.start
     )
-    first = next(_initial_state_trials(head, noise, best.start, _SHORTER[:1]), None)
-    if first is not None and abs(first.log_likelihood - best.log_likelihood) < _SAME:
-        return begun
     for _ in range(_AGAIN):
-        tried = _initial_state_trials(head, noise, best.start, _SHORTER)
-        better = max(tried, key=lambda b: b.log_likelihood, default=best)
-        if not better.log_likelihood > best.log_likelihood + _SAME:
+        better = _likelier_initial_state(head, noise, best, first=best is begun)
+        if better is None:
             break
         best = better
     return best
+
+
+def _likelier_initial_state(
+    head: FilterInput, noise: NoiseModel, best: InitialState, first: bool
+) -> InitialState | None:
+    """The initial state of the longest step that is likelier than ``best``; nothing without one.
+
+    No shorter steps are tried where a whole one stays within the deviation that the record leaves
+    (the maximum is there), or changes nothing at the ``first`` (the machine is as good as linear).
+    """
+    for share in _SHORTER:
+        trials = _initial_state_trials(head, noise, best.start, share)
+        trial = next(trials, None)
+        if trial is None:
+            continue
+        if first and share == 1.0 and abs(trial.log_likelihood - best.log_likelihood) < _SAME:
+            return None
+        trial = max([trial, *trials], key=lambda b: b.log_likelihood)
+        if trial.log_likelihood > best.log_likelihood + _SAME:
+            return trial
+        if share == 1.0 and np.all(np.abs(trial.start - best.start) < trial.deviations):
+            return None
+    return None
 
 
 def set_likely_initial_state(task: FilterInput, noise: NoiseModel) -> FilterInput:
@@ -204,25 +227,23 @@ def set_likely_initial_state(task: FilterInput, noise: NoiseModel) -> FilterInpu
 
 
 def _initial_state_trials(
-    head: FilterInput, noise: NoiseModel, start: Array, shares: Sequence[float]
+    head: FilterInput, noise: NoiseModel, start: Array, share: float
 ) -> Iterator[InitialState]:
     """Initial states one step of the search (Levenberg and Marquardt) away from ``start``."""
-    levels = force_levels(noise)
-    for share in shares:
-        task, settings = filter_prepared(
-            with_start_spread(replace(head, start=start), None), (), {}, share
-        )
-        filter_pass = filter_record(
-            task, with_level(task, settings, choose_levels(task, settings, levels)), keep=True
-        )
-        if filter_pass.done < task.series.samples:
-            continue
-        filter_pass, n = backward(filter_pass), len(task.states)
-        mean, variances = filter_pass.means[0, :n], filter_pass.variances[0, :n]
-        if np.all(np.isfinite(mean)) and np.all(variances > 0):
-            yield from (
-                _evaluate_initial_state(head, noise, mean, t * np.sqrt(variances)) for t in _TIMES
-            )
+    task, settings = filter_prepared(
+        with_start_spread(replace(head, start=start), None), (), {}, share
+    )
+    levels = choose_levels(task, settings, force_levels(noise))
+    filter_pass = filter_record(task, with_level(task, settings, levels), keep=True)
+    if filter_pass.done < task.series.samples:
+        return
+    filter_pass, n = backward(filter_pass), len(task.states)
+    mean, variances = filter_pass.means[0, :n], filter_pass.variances[0, :n]
+    if np.all(np.isfinite(mean)) and np.all(variances > 0):
+        deviations = np.sqrt(variances)
+        for times in _TIMES:
+            one = _evaluate_initial_state(head, noise, mean, times * deviations)
+            yield replace(one, deviations=deviations)
 
 
 def _evaluate_initial_state(

@@ -30,10 +30,11 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     continue_fit,
     is_acting,
+    is_uncorrected_motion_right,
     is_white,
     longest,
-    schwarz_penalty,
 )
+from spiral.inference.likelihood.needless_noise import drop_idle_terms, noise_penalty
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.types.invalid import bridged
 from spiral.types.noise import COLOURED, CORRELATED, FILTERED, FORCES, Kind
@@ -81,6 +82,7 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
     """
     if not fit.estimate.finite:
         return fit
+    begun = fit.estimate.noise.terms
     for _ in range(_ROUNDS):
         if is_white(assembly, fit):
             break
@@ -96,6 +98,8 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
     if fit.estimate.finite and fit.estimate.noise.has_kind("vibration"):
         rung = _best_noise_model(fit.estimate, list(_forces_for_vibration(fit.estimate)))
         fit = fit if rung is None else continue_fit(assembly, fit, rung.noise, rough=True)
+    if fit.estimate.noise.terms != begun:
+        fit = drop_idle_terms(assembly, fit)
     return _select_force_location(assembly, fit)
 
 
@@ -122,6 +126,8 @@ def reselect_noise_model(
     if not fit.estimate.finite or not any(noise.has_kind(kind) for kind in EXTRA):
         return fit
     white = noise.replace_with_white(*EXTRA)
+    if is_uncorrected_motion_right(fit, assembly.problem.settings.chi2_limit):
+        return fit  # none of it does the work of motion
     progress("selecting the noise model anew")
     again = select_noise_model(assembly, continue_fit(assembly, fit, white, rough=True), progress)
     decisive = float(np.log(DECISIVE_ODDS))
@@ -254,7 +260,7 @@ def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
     def look_at(addition: AdditionalNoise) -> _TermTrial:
         noise = now.noise.with_terms(addition.terms, addition.values)
         look = maximise_likelihood(part, (), noise, steps=_LOOK)
-        gain = look.log_likelihood - _noise_penalty(noise, at.noise, part) - now.log_likelihood
+        gain = look.log_likelihood - noise_penalty(noise, at.noise, part) - now.log_likelihood
         return _TermTrial(gain, look.noise, addition.terms[0].kind)
 
     offered = (*additional_noise_terms(now), *_vibration_terms(now))
@@ -287,7 +293,7 @@ def worth_beside(trial: MaximumLikelihood, at: MaximumLikelihood) -> float:
     """Log-likelihood that a fit gains over ``at``, less the penalty of what its noise has more."""
     if not trial.finite:
         return -np.inf
-    penalty = _noise_penalty(trial.noise, at.noise, at.prepared)
+    penalty = noise_penalty(trial.noise, at.noise, at.prepared)
     return trial.log_likelihood - at.log_likelihood - penalty
 
 
@@ -297,7 +303,7 @@ def _best_noise_model(
     """The noise model that gains most beyond its penalty on all records, if by the odds."""
     chosen, worth = None, float(np.log(DECISIVE_ODDS))
     for noise in noises:
-        enough = at.log_likelihood + _noise_penalty(noise, at.noise, at.prepared) + worth
+        enough = at.log_likelihood + noise_penalty(noise, at.noise, at.prepared) + worth
         steep = any(noise.has_kind(k) > at.noise.has_kind(k) for k in FILTERED)  # may get steeper
         trial = tune_noise(at.prepared, noise, -np.inf if steep else enough)
         trial = raise_filter_order(trial) if steep else trial
@@ -358,29 +364,6 @@ def _liveliest_part(at: MaximumLikelihood) -> FilterInputs:
     )
     short = replace(short, moved=task.moved)
     return (filter_prepared(short, settings.tracked, tracked_deviations(settings.tracked)),)
-
-
-def drop_needless_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
-    """The fit with forces reduced to their lower limits, where they are not worth their penalty.
-
-    Of a machine that nothing disturbs half the records would have some by chance, and standard
-    errors that are too large with it.
-    """
-    noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
-    least = {
-        t.size: size_limits(task, t.size)[0]
-        for t in noise.terms
-        if t.kind == "force" and is_acting(task, noise, t)
-    }
-    if not fit.estimate.finite or not least:
-        return fit
-    enough = fit.log_likelihood - schwarz_penalty(len(least), fit.estimate.prepared)
-    trial = continue_fit(assembly, fit, noise.with_values(least), rough=True, least=enough)
-    return trial if trial.log_likelihood > enough else fit
-
-
-def _noise_penalty(noise: NoiseModel, before: NoiseModel, prepared: FilterInputs) -> float:
-    return schwarz_penalty(len(noise.names) - len(before.names), prepared)
 
 
 def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
@@ -456,23 +439,3 @@ def _vibration_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
         size = max(white, size_limits(task, f"white.{channel}")[0])
         time = 1 / (2 * np.pi * float(hertz[top]))
         yield AdditionalNoise((term,), {term.size: size, term.time: time, term.damping: _NARROW})
-
-
-def drop_needless_noise(
-    assembly: Assembly, fit: LikelihoodFit, progress: Progress
-) -> LikelihoodFit:
-    """The fit without the terms beyond white noise that are no longer worth their penalty."""
-    noise = fit.estimate.noise
-    if not fit.estimate.finite:
-        return fit
-    for kind in (*COLOURED, *CORRELATED, "drift"):
-        if not noise.has_kind(kind):
-            continue
-        progress("trying a simpler noise model")
-        less = noise.replace_with_white(kind)
-        worth = _noise_penalty(noise, less, fit.estimate.prepared)
-        enough = fit.log_likelihood - worth - float(np.log(DECISIVE_ODDS))
-        trial = continue_fit(assembly, fit, less, rough=True, least=enough)
-        if trial.log_likelihood > enough:
-            fit, noise = trial, less
-    return fit

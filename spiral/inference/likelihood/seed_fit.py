@@ -26,6 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.filter.task import resting_first_state
+from spiral.engine.likelihood.fit import ROUGH
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, size_limits
 from spiral.engine.likelihood.predict import (
     FilterInputs,
@@ -46,8 +47,8 @@ from spiral.inference.likelihood.fitting import (
     free_parameters,
     has_noiseless_sensor,
     is_acting,
-    is_nearly_white,
     is_random_force_small,
+    is_start_settled,
     is_white,
     prepare_filter_tasks,
     reading_count,
@@ -55,11 +56,8 @@ from spiral.inference.likelihood.fitting import (
     schwarz_penalty,
 )
 from spiral.inference.likelihood.initial_states import far_initial_states, refit_initial_states
-from spiral.inference.likelihood.noise_selection import (
-    drop_needless_noise,
-    initial_drift_size,
-    select_noise_model,
-)
+from spiral.inference.likelihood.needless_noise import drop_needless_noise
+from spiral.inference.likelihood.noise_selection import initial_drift_size, select_noise_model
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.types.noise import CORRELATED, FORCES
 
@@ -100,6 +98,20 @@ def _explains_records(fit: LikelihoodFit) -> bool:
 def _lead_to_one_place(one: LikelihoodFit, other: LikelihoodFit) -> bool:
     apart = abs(one.log_likelihood - other.log_likelihood)
     return apart < _SAME * reading_count(one.estimate.prepared)
+
+
+def _ends_at_same_values(one: LikelihoodFit, other: LikelihoodFit) -> bool:
+    """Whether the values of one fit are those of another, as nearly as rough fits are made.
+
+    By the information I of the other, 1/2 d^T I d is the log-likelihood between them where it is a
+    parabola.
+    """
+    at = other.estimate
+    if not one.estimate.finite or at.regression is None:
+        return False
+    apart = np.array([one.estimate.values[k] - v for k, v in at.values.items()])
+    deviations = np.linalg.lstsq(at.regression.inverse[: len(apart)], apart, rcond=None)[0]
+    return 0.5 * float(deviations @ deviations) < 2 * ROUGH * reading_count(at.prepared)
 
 
 def _take_others_on(
@@ -155,7 +167,7 @@ def restart_from_sensor_noise(
     is selected from there as well.
     """
     if not fit.estimate.finite or (
-        is_nearly_white(assembly, fit) and not has_noiseless_sensor(fit)
+        is_start_settled(assembly, fit) and not has_noiseless_sensor(fit)
     ):
         return fit
     progress("starting again with sensor noise alone")
@@ -222,7 +234,7 @@ def restart_from_given_values(
     at = fit.estimate
     usual = all(term.kind in ("white", "force") for term in at.noise.terms)
     given = with_given_values(assembly, fit.state)
-    explained = usual and is_random_force_small(fit) and is_nearly_white(assembly, fit)
+    explained = usual and is_random_force_small(fit) and is_start_settled(assembly, fit)
     if (
         not at.finite
         or given is None
@@ -236,7 +248,8 @@ def restart_from_given_values(
         fit_by_likelihood(assembly, given, noise, rough=True, like=at.prepared) for noise in noises
     ]
     again = max(fits, key=lambda f: f.log_likelihood)
-    again = select_noise_model(assembly, again, progress)
+    if not _ends_at_same_values(again, fit):
+        again = select_noise_model(assembly, again, progress)
     if not again.log_likelihood > fit.log_likelihood + WORTH:
         return fit
     return drop_needless_noise(assembly, refit_initial_states(assembly, again), progress)
@@ -290,26 +303,29 @@ def _refit_with_steps(assembly: Assembly, fit: LikelihoodFit, substeps: int) -> 
 
 
 def _likelier_steps(assembly: Assembly, fit: LikelihoodFit) -> int | None:
-    """Twice the integration steps of a fit, where its own values are likelier with them."""
-    state, trial = _predict_on_halved_steps(assembly, fit, MOST_STABLE, fit.estimate.prepared)
-    likelier = log_likelihood(trial) > fit.log_likelihood + WORTH if trial else False
-    return state.substeps if likelier else None
+    """The integration steps of a fit halved for as long as its own values get likelier."""
+    likeliest, best, like = None, fit.log_likelihood, fit.estimate.prepared
+    steps = 2 * like[0][0].series.substeps
+    while trial := _predict_on_steps(assembly, fit, steps, MOST_STABLE, like):
+        if not log_likelihood(trial) > best + WORTH:
+            break
+        likeliest, best, steps = steps, log_likelihood(trial), 2 * steps
+    return likeliest
 
 
-def _predict_on_halved_steps(
-    assembly: Assembly, fit: LikelihoodFit, most: int, like: FilterInputs | None = None
-) -> tuple[FitState, tuple[Prediction, ...]]:
-    """The state with steps of half the length, and the records predicted so at the same values.
+def _predict_on_steps(
+    assembly: Assembly, fit: LikelihoodFit, steps: int, most: int, like: FilterInputs | None = None
+) -> tuple[Prediction, ...]:
+    """The records predicted with so many integration steps per sample, at the same values.
 
-    No predictions where that are more than ``most`` steps per sample, or where the filter runs
-    away. ``like`` as in ``prepare_filter_tasks``.
+    No predictions where that are more than ``most``, or where the filter runs away. ``like`` as in
+    ``prepare_filter_tasks``.
     """
-    steps = 2 * fit.estimate.prepared[0][0].series.substeps
-    state = replace(fit.state, substeps=steps)
     if steps > most:
-        return state, ()
+        return ()
+    state = replace(fit.state, substeps=steps)
     trial = predict_cases([(prepare_filter_tasks(assembly, state, like), fit.estimate.noise)])[0]
-    return state, trial if all(p.whole for p in trial) else ()
+    return trial if all(p.whole for p in trial) else ()
 
 
 def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
@@ -321,7 +337,8 @@ def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> Likeliho
     """
     while fit.estimate.finite and fit.estimate.keys:
         at, keys, solved = fit.estimate, fit.estimate.keys, fit.estimate.regression
-        state, trial = _predict_on_halved_steps(assembly, fit, MOST_SUBSTEPS)
+        steps = 2 * at.prepared[0][0].series.substeps
+        trial = _predict_on_steps(assembly, fit, steps, MOST_SUBSTEPS)
         if solved is None or not trial:
             break
         inverse = solved.inverse[: len(keys)]
@@ -332,7 +349,7 @@ def refine_integration_steps(assembly: Assembly, fit: LikelihoodFit) -> Likeliho
         moved = np.abs(inverse @ (inverse.T @ pulled)) / np.array(list(at.errors.values()))
         if not np.max(moved) > _SHOWN:
             break
-        again = fit_by_likelihood(assembly, state, at.noise)
+        again = fit_by_likelihood(assembly, replace(fit.state, substeps=steps), at.noise)
         if not again.estimate.finite:
             break
         fit = again

@@ -38,19 +38,15 @@ from spiral.inference.likelihood.fitting import (
     fit_by_likelihood,
     has_still_state,
     innovation_whiteness,
-    is_nearly_white,
+    is_start_settled,
     largest_force,
     restart_vanished_noise,
 )
 from spiral.inference.likelihood.initial_states import refit_initial_states
 from spiral.inference.likelihood.interpolation import restore_declared_interpolation
 from spiral.inference.likelihood.judging import JudgingFits, fit_on_judging_blocks, judge_winner
-from spiral.inference.likelihood.noise_selection import (
-    drop_needless_forces,
-    drop_needless_noise,
-    reselect_noise_model,
-    select_noise_model,
-)
+from spiral.inference.likelihood.needless_noise import drop_needless_forces, drop_needless_noise
+from spiral.inference.likelihood.noise_selection import reselect_noise_model, select_noise_model
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.likelihood.seed_fit import (
     best_fit,
@@ -420,7 +416,7 @@ def fit_with_effect(
         fit = fit_by_likelihood(own, state, rough=True, like=like)
     fit = refit_initial_states(own, refit_on_finer_steps(own, fit))
     fit, state = _release_told_values(own, fit, state)
-    if not is_nearly_white(own, fit):  # it may have stayed with the noise of the model as it was
+    if not is_start_settled(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
     fit = reselect_noise_model(own, fit, progress)

@@ -21,7 +21,7 @@ from spiral.inference.likelihood.fitting import (
     predicted_states,
 )
 from spiral.inference.likelihood.interpolation import select_input_interpolation
-from spiral.inference.likelihood.noise_selection import drop_needless_noise
+from spiral.inference.likelihood.needless_noise import drop_needless_noise
 from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_other_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties

@@ -38,7 +38,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.interpolation import (
     likelier_interpolation_fit,
 )
-from spiral.inference.likelihood.noise_selection import drop_needless_noise
+from spiral.inference.likelihood.needless_noise import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import is_near_noise, may_noise_stand_in
