@@ -29,6 +29,8 @@ from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 
 _VECTOR, _MATRIX = types.float64[::1], types.float64[:, ::1]
+_USUAL = 2  # level of optimisation
+_LONG = 50_000  # lines of intermediate code, beyond which none of it pays
 MODEL_FUNCTION = types.FunctionType(
     types.void(_VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _MATRIX)
 )
@@ -205,31 +207,42 @@ def _entry_address(builder: ir.IRBuilder, matrix: Any, row: int, column: int) ->
 
 
 @cache
-def _target_and_linker() -> tuple[Any, Any]:
-    """The processor to compile for, and the linker of its code: one for the process.
+def _target_machine(level: int) -> Any:
+    """The processor to compile for, at a level of optimisation."""
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    return binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=level,
+        jit=True,
+    )
+
+
+@cache
+def _linker() -> Any:
+    """The linker of the machine code: one for the process.
 
     An engine for each model would hold the model's intermediate form and a machine of its own, five
     times the memory of the code.
     """
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    machine = binding.Target.from_default_triple().create_target_machine(
-        cpu=binding.get_host_cpu_name(),
-        features=binding.get_host_cpu_features().flatten(),
-        opt=2,
-        jit=True,
-    )
-    return machine, binding.create_lljit_compiler(machine)
+    return binding.create_lljit_compiler(_target_machine(_USUAL))
 
 
 _numbers = itertools.count()  # libraries of code: no name is used twice
 
 
 def engine_of(module: ir.Module) -> Any:
-    """The module's machine code: addresses of its functions by name, valid while this is kept."""
-    machine, linker = _target_and_linker()
-    parsed = binding.parse_assembly(str(module), binding.create_context())
-    options = binding.create_pipeline_tuning_options(speed_level=2)
+    """The module's machine code: addresses of its functions by name, valid while this is kept.
+
+    Registers are shared out in a time that grows faster than the code, so that a model with
+    hundreds of candidates in it, which is run a few times, takes longer to compile than to run: it
+    is compiled plainly.
+    """
+    linker, text = _linker(), str(module)
+    level = _USUAL if text.count("\n") <= _LONG else 0
+    machine, parsed = _target_machine(level), binding.parse_assembly(text, binding.create_context())
+    options = binding.create_pipeline_tuning_options(speed_level=max(level, 1))
     passes = binding.create_pass_builder(machine, options)
     passes.getModulePassManager().run(parsed, passes)
     library = binding.JITLibraryBuilder().add_object_img(machine.emit_object(parsed))
