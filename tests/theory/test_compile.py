@@ -10,6 +10,7 @@ from spiral_plugins.systems.pendulum import Pendulum
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
+from spiral.physics import compile as compile_module
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.errors import PluginError
@@ -168,3 +169,20 @@ def test_nothing_of_a_model_is_written_to_disk(tmp_path, monkeypatch):
         monkeypatch.setenv(name, str(tmp_path))
     compile_model.__wrapped__(alone(sp.sin(X) * sp.Float(0.12345), Y))
     assert not list(tmp_path.rglob("*"))
+
+
+def test_code_that_is_compiled_plainly_is_the_same_function(monkeypatch):
+    """Registers and order apart: what a long model gets in place of an optimised one."""
+    traced = trace(PlanarRotor(), PlanarRotor().seed)
+    usual = compile_model(traced)
+    monkeypatch.setattr(compile_module, "_LONG", 0)
+    rng = np.random.default_rng(0)
+    x, u, p = (rng.uniform(0.5, 1.5, k) for k in (len(traced.x), len(traced.u), len(traced.p)))
+    for name in ("rate", "output"):
+        rows = len(getattr(traced, name))
+        results = [
+            compiled_at(getattr(c, name), getattr(c, f"{name}_value"), rows, x, u, p)
+            for c in (usual, compile_module.compile_model.__wrapped__(traced))
+        ]
+        for one, other in zip(*results, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-13)
