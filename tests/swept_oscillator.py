@@ -45,3 +45,24 @@ def shaken(seed, level):
 
     task, _ = task_of(record_of(seed, samples=1500, noise=0.0))
     return simulate_disturbed(task, {"observed": level}, 0.02, np.random.default_rng(seed))
+
+
+def relaxed(rng, count, keep):
+    """Noise of variance one that keeps this share of itself from sample to sample."""
+    steps = rng.normal(size=count) * np.sqrt(1 - keep**2)
+    noise = np.empty(count)
+    noise[0] = rng.normal()
+    for k in range(1, count):
+        noise[k] = keep * noise[k - 1] + steps[k]
+    return noise
+
+
+def unfitted(record, values=None):
+    """A study of the oscillator and its state, nothing fitted."""
+    from spiral.inference.evidence.assembly import compile_assembly
+    from spiral.inference.evidence.fit_state import FitState, initial_values
+    from spiral.inference.problem import Problem
+
+    model = seed_model(Oscillator(), values={**TRUTH, **(values or {})})
+    assembly = compile_assembly(Problem(model, (record,), ()), (), 4)
+    return assembly, FitState(model.labels, initial_values(assembly), corrected=False)

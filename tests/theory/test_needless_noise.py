@@ -9,8 +9,6 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.noise import NoiseTerm, first_noise, noise_matrices, size_limits
 from spiral.engine.likelihood.predict import total_log_likelihood
-from spiral.inference.evidence.assembly import compile_assembly
-from spiral.inference.evidence.fit_state import FitState, initial_values
 from spiral.inference.likelihood import seed_fit
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -20,11 +18,11 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
 from spiral.inference.likelihood.seed_fit import restart_from_given_values
-from spiral.inference.problem import Problem, silent
+from spiral.inference.problem import silent
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
 from tests.scenes import registry
-from tests.swept_oscillator import RATE, TRUTH, record_of, task_of
+from tests.swept_oscillator import RATE, TRUTH, record_of, relaxed, task_of, unfitted
 
 LIMIT, LASTING = 2.0, 40
 
@@ -32,19 +30,11 @@ LIMIT, LASTING = 2.0, 40
 def pushed(seed, size, samples=1500):
     """An oscillator beside whose force one acts that lasts 40 samples and that nobody records."""
     rng, time = np.random.default_rng(seed), np.arange(samples) / RATE
-    keep, hidden = np.exp(-1 / LASTING), np.zeros(samples)
-    for k in range(1, samples):
-        hidden[k] = keep * hidden[k - 1] + np.sqrt(1 - keep**2) * rng.normal()
+    hidden = relaxed(rng, samples, np.exp(-1 / LASTING))
     force = 30 * np.sin(2 * np.pi * (1 + 3 * time / time[-1]) * time)
     model = seed_model(Oscillator(), values=TRUTH)
     record = simulate(model, time, {"force": force + size * hidden}, 0.01, rng)
     return replace(record, inputs={"force": force})
-
-
-def study(record, given=None):
-    model = seed_model(Oscillator(), values=given or TRUTH)
-    assembly = compile_assembly(Problem(model, (record,), ()), (), 4)
-    return assembly, FitState(model.labels, initial_values(assembly), corrected=False)
 
 
 @pytest.mark.parametrize(
@@ -65,7 +55,7 @@ def test_a_term_at_its_least_size_has_no_states(kind, where):
 
 def test_one_of_two_forces_goes_that_does_nothing():
     """The kind is worth its penalty, one of its terms is not."""
-    assembly, state = study(pushed(1, 8.0))
+    assembly, state = unfitted(pushed(1, 8.0))
     fit = fit_by_likelihood(assembly, state)
     terms = (NoiseTerm("gust", "x_rate"), NoiseTerm("gust", "x"))
     sizes = {"gust.x_rate": 0.1, "gust.x": 2e-5, "gust.time": LASTING / RATE}
@@ -82,7 +72,7 @@ def test_motion_is_right_where_nothing_has_to_correct_it(cubic, right):
     """A spring that is missing is followed by a random force, one sample ahead as well as ever."""
     effects = (registry().effect_from_label("cubic_stiffness", {}),) if cubic else ()
     values = {"cubic_stiffness.stiffness": cubic} if cubic else {}
-    assembly, state = study(record_of(2, effects=effects, values=values, noise=0.01))
+    assembly, state = unfitted(record_of(2, effects=effects, values=values, noise=0.01))
     fit = fit_by_likelihood(assembly, state)
     assert fit.estimate.finite
     assert is_uncorrected_motion_right(fit, LIMIT) == right
@@ -91,10 +81,8 @@ def test_motion_is_right_where_nothing_has_to_correct_it(cubic, right):
 def test_coloured_noise_may_hide_motion():
     """Noise that is predicted from its past is larger than what is missed one sample ahead."""
     rng, record = np.random.default_rng(4), record_of(4, noise=0.0)
-    own, spread = np.zeros(record.samples), np.std(record.channels["x"])
-    for k in range(1, record.samples):
-        own[k] = 0.95 * own[k - 1] + np.sqrt(1 - 0.95**2) * rng.normal()
-    assembly, state = study(
+    own, spread = relaxed(rng, record.samples, 0.95), np.std(record.channels["x"])
+    assembly, state = unfitted(
         replace(record, channels={"x": record.channels["x"] + 0.05 * spread * own})
     )
     term = NoiseTerm("coloured", "x")
@@ -108,8 +96,8 @@ def test_coloured_noise_may_hide_motion():
 
 def test_a_start_that_ends_at_the_same_values_selects_no_noise_anew(monkeypatch):
     """From given values near by; and it does where the fit stands somewhere else."""
-    given = {**TRUTH, "system.mass": 1.05, "linear_stiffness.stiffness": 410.0}
-    assembly, state = study(pushed(1, 8.0), given)
+    given = {"system.mass": 1.05, "linear_stiffness.stiffness": 410.0}
+    assembly, state = unfitted(pushed(1, 8.0), given)
     sizes = {"gust.x_rate": 0.1, "gust.time": LASTING / RATE}
     first = fit_by_likelihood(assembly, state)
     noise = first.estimate.noise.with_terms((NoiseTerm("gust", "x_rate"),), sizes)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.free_spread import free_spread
@@ -19,8 +18,16 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.noise_selection import reselect_noise_model, select_noise_model
 from spiral.inference.problem import silent
-from spiral.types.model import seed_model
-from tests.swept_oscillator import KEYS, TRUTH, record_of, shaken, states_alone, task_of
+from tests.swept_oscillator import (
+    KEYS,
+    TRUTH,
+    record_of,
+    relaxed,
+    shaken,
+    states_alone,
+    task_of,
+    unfitted,
+)
 
 
 def test_estimates_bear_a_random_force():
@@ -147,26 +154,6 @@ def ringing(rng, count, turn, ratio):
     for k in range(count):
         found[k], z = z[0], phi @ z + root @ rng.normal(size=2)
     return found
-
-
-def relaxed(rng, count, keep):
-    steps = rng.normal(size=count) * np.sqrt(1 - keep**2)
-    found = np.empty(count)
-    found[0] = rng.normal()
-    for k in range(1, count):
-        found[k] = keep * found[k - 1] + steps[k]
-    return found
-
-
-def unfitted(record):
-    """A study of the oscillator and its state, nothing fitted."""
-    from spiral.inference.evidence.assembly import compile_assembly
-    from spiral.inference.evidence.fit_state import FitState, initial_values
-    from spiral.inference.problem import Problem
-
-    model = seed_model(Oscillator(), values=TRUTH)
-    assembly = compile_assembly(Problem(model, (record,), ()), (), 4)
-    return assembly, FitState(model.labels, initial_values(assembly), corrected=False)
 
 
 def laddered(record) -> NoiseModel:

@@ -44,7 +44,7 @@ EXTRA: tuple[Kind, ...] = (*COLOURED, "drift", *CORRELATED)
 """Kinds beyond white noise and a white force."""
 
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
-LEAST_FORCE = 1e-5  # its least level
+LEAST_FORCE = 1e-5  # least level of a force
 OWN = 1.0  # its largest: beside a random force above the machine's own no term can be identified
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8

@@ -206,16 +206,17 @@ def _likelier_initial_state(
     (the maximum is there), or changes nothing at the ``first`` (the machine is as good as linear).
     """
     for share in _SHORTER:
+        whole = share == _SHORTER[0]
         trials = _initial_state_trials(head, noise, best.start, share)
         trial = next(trials, None)
         if trial is None:
             continue
-        if first and share == 1.0 and abs(trial.log_likelihood - best.log_likelihood) < _SAME:
+        if first and whole and abs(trial.log_likelihood - best.log_likelihood) < _SAME:
             return None
         trial = max([trial, *trials], key=lambda b: b.log_likelihood)
         if trial.log_likelihood > best.log_likelihood + _SAME:
             return trial
-        if share == 1.0 and np.all(np.abs(trial.start - best.start) < trial.deviations):
+        if whole and np.all(np.abs(trial.start - best.start) < trial.deviations):
             return None
     return None
 

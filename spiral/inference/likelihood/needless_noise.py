@@ -7,8 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.engine.likelihood.noise import EXTRA, NoiseModel, NoiseTerm, size_limits
-from spiral.engine.likelihood.predict import FilterInputs, log_likelihood, predict_cases
+from spiral.engine.likelihood.noise import EXTRA, NoiseModel, size_limits
+from spiral.engine.likelihood.predict import (
+    FilterInputs,
+    log_likelihood,
+    predict_cases,
+    total_log_likelihood,
+)
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
@@ -76,16 +81,12 @@ def drop_idle_terms(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
     if not at.finite or len(terms) < 2:
         return fit
     trials = [at.noise.select_terms(x for x in at.noise.terms if x is not t) for t in terms]
-    parts = predict_cases([(at.prepared, trial) for trial in trials])
+    heights = [log_likelihood(p) for p in predict_cases([(at.prepared, n) for n in trials])]
     kept = at.noise
-    for _, term in sorted(zip(map(log_likelihood, parts), terms, strict=True), key=_falling):
-        less = kept.select_terms(t for t in kept.terms if t is not term)
-        enough = at.log_likelihood - noise_penalty(at.noise, less, at.prepared)
-        if not log_likelihood(predict_cases([(at.prepared, less)])[0]) > enough:
+    for place in np.argsort(heights)[::-1]:
+        less = kept.select_terms(t for t in kept.terms if t is not terms[place])
+        height = heights[place] if kept is at.noise else total_log_likelihood(at.prepared, less)
+        if not height > at.log_likelihood - noise_penalty(at.noise, less, at.prepared):
             break
         kept = less
     return fit if kept is at.noise else continue_fit(assembly, fit, kept, rough=True)
-
-
-def _falling(trial: tuple[float, NoiseTerm]) -> float:
-    return -trial[0]

@@ -7,9 +7,9 @@
    measured;
 3. the first again with process noise ten times smaller and ten times larger to begin with;
 4. where values of the best have run away, those held as they were given, and then let go;
-5. where noise turns out to be of another kind, or what is left is not white, the first again with
-   the noise that is known by then;
-6. where what is left is not white still, the best so far with all of that taken for sensor noise.
+5. where noise turns out to be of another kind, or other values may have something to find
+   (``is_start_settled``), the first again with the noise that is known by then;
+6. where they still may, the best so far with all that is left taken for sensor noise.
 
 Each is taken a few steps, and the most likely one to its maximum; then the others that lead
 elsewhere are taken on while their steps promise to come as high, since one that begins nearer may
@@ -303,7 +303,7 @@ def _refit_with_steps(assembly: Assembly, fit: LikelihoodFit, substeps: int) -> 
 
 
 def _likelier_steps(assembly: Assembly, fit: LikelihoodFit) -> int | None:
-    """The integration steps of a fit halved for as long as its own values get likelier."""
+    """Integration steps halved for as long as a fit's own values get likelier; nothing if never."""
     likeliest, best, like = None, fit.log_likelihood, fit.estimate.prepared
     steps = 2 * like[0][0].series.substeps
     while trial := _predict_on_steps(assembly, fit, steps, MOST_STABLE, like):
