@@ -215,6 +215,15 @@ def is_near_noise(comparison: Comparison, settings: Settings) -> bool:
     return not shortfalls(comparison, settings)
 
 
+def leaves_less_than_noise(error: float, last: Comparison, settings: Settings) -> bool:
+    """Whether an error e of free runs has no more left to fall than the noise f of a later model.
+
+    That is e^2 - f^2 <= (L - 1) f^2; never so where no free run tells.
+    """
+    limit = settings.chi2_limit * last.noise_floor**2
+    return not is_free_run_carried_away(last) and error**2 <= limit
+
+
 def predicts_nothing(comparison: Comparison, settings: Settings) -> bool:
     """Whether a free run on unseen data errs by all the motion, and noise does not explain it.
 

@@ -50,6 +50,8 @@ class Settings:
     ------
     level : family-wise error of a whole study, spent over its rounds.
     smallest : smallest change of the predicted response that counts, in noise standard deviations.
+    smallest_share : smallest change of the predicted response that counts where the model's error
+        is within the noise already, in deviations of a reading.
     max_rounds : rounds after which the loop stops.
     seconds : time from which the search ends with what is known by then; 0 for no limit. The fit of
         the seed is not interrupted.
@@ -72,6 +74,7 @@ class Settings:
 
     level: float = 0.01
     smallest: float = 0.1
+    smallest_share: float = 0.005
     max_rounds: int = 8
     seconds: float = 0.0
     alias_level: float = 0.01

@@ -30,6 +30,7 @@ from spiral.inference.nearness import (
     is_free_run_carried_away,
     is_near_noise,
     is_residual_white,
+    leaves_less_than_noise,
     next_sample_error,
     noise_factor,
     predicts_nothing,
@@ -356,16 +357,18 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
         )
     if not named:
         return f"The model now contains {', '.join(admitted)}: {change}."
-    said = _missing_sentence(rounds, named, change)
+    said = _missing_sentence(rounds, named, change, settings)
     if doubtful:
         names = ", ".join(doubtful)
         said += f" The model also contains {names}, which may only stand in for memory."
     return said
 
 
-def _missing_sentence(rounds: Sequence[Round], named: tuple[str, ...], change: str) -> str:
+def _missing_sentence(
+    rounds: Sequence[Round], named: tuple[str, ...], change: str, settings: Settings
+) -> str:
     """What was missing, and what it did to the error; what is smaller than the noise comes last."""
-    before, small = _smaller_than_noise(rounds, named)
+    before, small = _smaller_than_noise(rounds, named, settings)
     main = tuple(x for x in named if x not in small)
     if main and small:
         change = _error_clause(rounds[0].comparison, before)
@@ -381,15 +384,15 @@ def _missing_sentence(rounds: Sequence[Round], named: tuple[str, ...], change: s
 
 
 def _smaller_than_noise(
-    rounds: Sequence[Round], named: tuple[str, ...]
+    rounds: Sequence[Round], named: tuple[str, ...], settings: Settings
 ) -> tuple[Comparison, tuple[str, ...]]:
-    """The model after which an error e has less than the noise f left to fall, and what came then.
+    """The model after which an error has less than the noise left to fall, and what came then.
 
-    That is e^2 - f^2 <= f^2. Nothing came where no model is as near, or where no free run tells.
+    Nothing came where no model is as near, or where no free run tells.
     """
     last = rounds[-1].comparison
-    limit = 0.0 if is_free_run_carried_away(last) else np.sqrt(2.0) * last.noise_floor
-    near = (k for k, r in enumerate(rounds) if r.comparison.test_error <= limit)
+    errors = enumerate(r.comparison.test_error for r in rounds)
+    near = (k for k, error in errors if leaves_less_than_noise(error, last, settings))
     k = next(near, len(rounds) - 1)
     early = {x for r in rounds[: k + 1] for x in r.admitted}
     return rounds[k].comparison, tuple(x for x in named if x not in early)

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ import numpy as np
 from spiral.engine.likelihood.fit import add_standard_errors
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import FilterInputs, Masks
-from spiral.inference.disturbances import random_forces, what_acts
 from spiral.inference.evidence.assembly import Assembly, build_variants
 from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants, without_variants
 from spiral.inference.evidence.fit_state import FitState
@@ -33,6 +32,7 @@ from spiral.inference.likelihood.candidates import Race, Rival, start_race
 from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.departures import drifting_parameters
 from spiral.inference.likelihood.fitting import (
+    WORTH,
     LikelihoodFit,
     continue_fit,
     fit_by_likelihood,
@@ -59,9 +59,9 @@ from spiral.inference.likelihood.seed_fit import (
 )
 from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
-from spiral.inference.nearness import is_drowned_in_noise, unexplained_error_growth
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
 from spiral.inference.strategies.likelihood.superfluous import (
     admitted_variants,
     drop_superfluous_effects,
@@ -72,8 +72,7 @@ from spiral.inference.strategies.likelihood.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
-from spiral.types.formatting import number, percent
-from spiral.types.horizon import changes
+from spiral.types.formatting import number
 from spiral.types.label import owner_of, parameter_of, split_key, without_variant
 from spiral.types.run import Comparison
 
@@ -82,7 +81,6 @@ _STILL_STATE = (
 )
 _LAST = 1e-6  # whiteness from which a model may be the last
 _BEYOND = 100.0  # times its scaled value from which a shape is of no motion in the records
-_BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
 def compare_likelihood_fit(
@@ -126,17 +124,6 @@ class AcceptedCandidate:
     whole: WholeRecordFit
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why a model with a candidate is refused.
-
-    ``alone`` : it may be of use once what else is missing stands beside it.
-    """
-
-    reason: str
-    alone: bool = False
-
-
 Objection = Callable[[WholeRecordFit], Refusal | None]
 """Function that gives the reason to refuse a model with a candidate, or nothing."""
 
@@ -146,17 +133,30 @@ class RaceOutcome:
     """The first winner of a race that passed all tests, and why earlier ones were refused.
 
     ``likely`` is the first that is more likely, also on the blocks that did not select, and was
-    refused for what it does alone.
+    refused for what it does alone. ``worths`` of those rejected, on the blocks that select.
     """
 
     passed: AcceptedCandidate | None
     rejected: dict[str, str]
     likely: AcceptedCandidate | None = None
+    worths: Mapping[str, float] = field(default_factory=dict)
+
+    def reason_for(self, rival: Rival) -> str:
+        """Why a rival was rejected at the same maximum; empty where it was not.
+
+        One that is worth no more than it was then has come to the values of that time.
+        """
+        if rival.worth > self.worths.get(rival.label, -np.inf) + WORTH:
+            return ""
+        return self.rejected.get(rival.label, "")
 
     @property
     def admitted(self) -> tuple[AcceptedCandidate, ...]:
         """The candidate that passed, as a tuple of one; empty where none did."""
         return () if self.passed is None else (self.passed,)
+
+
+NOTHING_TRIED = RaceOutcome(None, {})
 
 
 def offer_effects(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
@@ -184,13 +184,22 @@ def race_offered(
 def first_to_pass(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, race: Race, judge: Masks,
     level: float, objection: Objection, progress: Progress, least: float = 0.0,
+    before: RaceOutcome = NOTHING_TRIED,
 ) -> RaceOutcome:  # fmt: skip
-    """The first winner worth more than ``least`` that the judging blocks confirm, unopposed."""
-    rejected: dict[str, str] = {}
+    """The first winner worth more than ``least`` that the judging blocks confirm, unopposed.
+
+    ``before`` : another race of the same candidates; what was rejected there at the same maximum is
+        not asked again, and is told as well.
+    """
+    rejected = dict(before.rejected)
+    worths: dict[str, float] = {}
     likely: AcceptedCandidate | None = None
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     for rival, rivals in itertools.islice(_meaningful(race, rejected), options.judged):
-        if reason := _unconfirmed_reason(base, ours, rival, judge, level, least):
+        worths[rival.label] = rival.worth
+        if reason := before.reason_for(rival) or _unconfirmed_reason(
+            base, ours, rival, judge, level, least
+        ):
             rejected[rival.label] = reason
             continue
         if twin := untold_twin(base, rival, race.masks):
@@ -206,10 +215,10 @@ def first_to_pass(
             if freely is not None and objection(freely.whole) is None:
                 passed, refusal = freely, None
         if refusal is None:
-            return RaceOutcome(passed, rejected, likely)
-        rejected[chosen.label] = refusal.reason
+            return RaceOutcome(passed, rejected, likely, worths)
+        rejected[chosen.label], worths[chosen.label] = refusal.reason, chosen.worth
         likely = likely or (passed if refusal.alone else None)
-    return RaceOutcome(None, rejected, likely)
+    return RaceOutcome(None, rejected, likely, worths)
 
 
 def _meaningful(race: Race, rejected: dict[str, str]) -> Iterator[tuple[Rival, list[Rival]]]:
@@ -341,64 +350,6 @@ def benefit_objection(
 ) -> Objection:
     """An objection to candidates that do not improve predictions of unseen data."""
     return lambda whole: refuse_unhelpful(options, before, whole.refitted.comparison, settings)
-
-
-def refuse_unhelpful(
-    options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
-) -> Refusal | None:
-    """Refuse an effect that does not improve predictions of unseen data; nothing where it does.
-
-    The squared error that it takes away, over what is left, is a size in standard deviations of
-    the noise; the largest over the horizons counts at which unseen data are predicted better, or
-    the free run of the fitted records where there are no others. A free run that random forces move
-    by more than noise does is no witness.
-    """
-    forces = max(random_forces(after).values(), default=0.0)
-    if forces >= _BOUND * options.random_limit:
-        acting = what_acts(after.model)
-        return Refusal(
-            f"with it, too, a random {acting} as large as the machine's own would have to act: "
-            "the fit has not found the right values, or the record is of another machine",
-            alone=True,
-        )
-    if is_drowned_in_noise(after, settings) and not is_drowned_in_noise(before, settings):
-        return Refusal("with it the noise of a sensor would be most of its signal", alone=True)
-    judged_ = changes(before.unseen, after.unseen)
-    if (worse := unexplained_error_growth(before, after, settings)) is not None:
-        said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
-        return Refusal(f"the error on unseen data grows ({said})", alone=True)
-    told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
-    seen = [] if judged_ else [(before.fit_error, after.fit_error)]
-    pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
-    size = max((_reduction_size(b, a) for b, a in pairs), default=0.0)
-    if max(size, _force_replacement_size(before, after)) >= settings.smallest:
-        return None
-    removed = f"no more than {percent(size)}" if size > 0 else "nothing"
-    return Refusal(
-        f"significant, but too small to matter: over every horizon it removes {removed} of the "
-        f"error that is left (least {percent(settings.smallest)})"
-    )
-
-
-def _reduction_size(before: float, after: float) -> float:
-    """Size of the error removed, sqrt(before^2 / after^2 - 1), over the error that is left."""
-    size = np.sqrt(max((before / after) ** 2 - 1, 0.0)) if after > 0 else np.inf
-    return float(size) if np.isfinite(size) else np.inf
-
-
-def _force_replacement_size(before: Comparison, after: Comparison) -> float:
-    """How far an effect replaces random forces that moved the free runs.
-
-    The force and the free runs of fitted and test records must all shrink; the least counts. An
-    effect with states of its own is a force with a memory itself: none.
-    """
-    forces = [max(random_forces(c).values(), default=0.0) for c in (before, after)]
-    new = [e for e in after.model.effects if e.label not in before.model.labels]
-    if not forces[0] > 0 or any(e.states for e in new):
-        return 0.0
-    pairs = [(forces[0], forces[1]), (before.fit_error, after.fit_error)]
-    pairs += [(before.test_error, after.test_error)] if after.unseen else []
-    return min(itertools.starmap(_reduction_size, pairs))
 
 
 def fit_with_effect(

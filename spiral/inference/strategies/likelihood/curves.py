@@ -38,7 +38,6 @@ from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
     Objection,
-    Refusal,
     WholeRecordFit,
     benefit_objection,
     compare_whole_record_fit,
@@ -46,6 +45,7 @@ from spiral.inference.strategies.likelihood.admission import (
     offer_effects,
     race_offered,
 )
+from spiral.inference.strategies.likelihood.benefit import Refusal
 from spiral.inference.strategies.likelihood.laws import (
     fit_without,
     full_log_likelihood,

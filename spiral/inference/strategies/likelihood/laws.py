@@ -43,14 +43,13 @@ from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.admission import (
     AcceptedCandidate,
-    Refusal,
     WholeRecordFit,
     first_to_pass,
     fit_beside_noise,
     offer_effects,
     race_offered,
-    refuse_unhelpful,
 )
+from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import undetermined_effects
 from spiral.physics.formulas.laws import laws_of

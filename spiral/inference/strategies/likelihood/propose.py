@@ -113,9 +113,10 @@ def propose(
         passed = _find_second_effect(options, bare, outcome.likely, masks, level, helps, progress)
     if not passed:
         race = race.with_only_rivals(quiet())
-        again = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
-        passed, tried = again.admitted, (*tried, *race.tried)
-        outcome = replace(outcome, rejected={**again.rejected, **outcome.rejected})
+        outcome = first_to_pass(
+            options, assembly, base, race, masks[1], level, helps, progress, before=outcome
+        )
+        passed, tried = outcome.admitted, (*tried, *race.tried)
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
     scored = ScoredRound(ranked, tried)

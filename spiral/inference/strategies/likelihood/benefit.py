@@ -1,0 +1,115 @@
+"""The test whether an effect is of use: it must improve predictions of unseen data, by enough."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.inference.disturbances import random_forces, what_acts
+from spiral.inference.nearness import (
+    is_drowned_in_noise,
+    leaves_less_than_noise,
+    unexplained_error_growth,
+)
+from spiral.inference.problem import Settings
+from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.formatting import percent
+from spiral.types.horizon import Change, changes
+from spiral.types.run import Comparison
+
+_BOUND = 0.99  # share of the largest random force from which one stands at its bound
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a model with a candidate is refused.
+
+    ``alone`` : it may be of use once what else is missing stands beside it.
+    """
+
+    reason: str
+    alone: bool = False
+
+
+def refuse_unhelpful(
+    options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
+) -> Refusal | None:
+    """Refuse an effect that does not improve predictions of unseen data; nothing where it does.
+
+    The squared error that it takes away, over what is left, is a size in standard deviations of
+    the noise; the largest over the horizons counts at which unseen data are predicted better, or
+    the free run of the fitted records where there are no others. A free run that random forces move
+    by more than noise does is no witness. Where the error has less than the noise left to fall, the
+    effect must also change what is predicted of a reading by ``smallest_share`` of its motion:
+    below that many effects do as well, and a name means little.
+    """
+    forces = max(random_forces(after).values(), default=0.0)
+    if forces >= _BOUND * options.random_limit:
+        acting = what_acts(after.model)
+        return Refusal(
+            f"with it, too, a random {acting} as large as the machine's own would have to act: "
+            "the fit has not found the right values, or the record is of another machine",
+            alone=True,
+        )
+    if is_drowned_in_noise(after, settings) and not is_drowned_in_noise(before, settings):
+        return Refusal("with it the noise of a sensor would be most of its signal", alone=True)
+    judged_ = changes(before.unseen, after.unseen)
+    if (worse := unexplained_error_growth(before, after, settings)) is not None:
+        said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
+        return Refusal(f"the error on unseen data grows ({said})", alone=True)
+    told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
+    seen = [] if judged_ else [(before.fit_error, after.fit_error)]
+    pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
+    size = max((_reduction_size(b, a) for b, a in pairs), default=0.0)
+    if max(size, _force_replacement_size(before, after)) >= settings.smallest:
+        return _refuse_below_noise(before, after, told, settings)
+    removed = f"no more than {percent(size)}" if size > 0 else "nothing"
+    return Refusal(
+        f"significant, but too small to matter: over every horizon it removes {removed} of the "
+        f"error that is left (least {percent(settings.smallest)})"
+    )
+
+
+def _refuse_below_noise(
+    before: Comparison, after: Comparison, told: list[Change], settings: Settings
+) -> Refusal | None:
+    """Refuse an effect beneath the noise that changes predictions by too small a share of motion.
+
+    The share is sqrt(before^2 - after^2) of errors over a reading's deviation, the largest over
+    the horizons that are ``told`` and the readings.
+    """
+    if not leaves_less_than_noise(before.test_error, after, settings):
+        return None
+    old, new = ({h.name: h.channels for h in c.unseen} for c in (before, after))
+    pairs = [(old[c.horizon][j], e) for c in told for j, e in new[c.horizon].items()]
+    pairs = pairs or [(before.fit_error, after.fit_error)]
+    share = max(np.sqrt(max(b**2 - a**2, 0.0)) for b, a in pairs)
+    if share >= settings.smallest_share:
+        return None
+    return Refusal(
+        f"significant, but smaller than the noise and too small to matter: it changes what is "
+        f"predicted by {percent(share)} of the motion (least {percent(settings.smallest_share)})"
+    )
+
+
+def _reduction_size(before: float, after: float) -> float:
+    """Size of the error removed, sqrt(before^2 / after^2 - 1), over the error that is left."""
+    size = np.sqrt(max((before / after) ** 2 - 1, 0.0)) if after > 0 else np.inf
+    return float(size) if np.isfinite(size) else np.inf
+
+
+def _force_replacement_size(before: Comparison, after: Comparison) -> float:
+    """How far an effect replaces random forces that moved the free runs.
+
+    The force and the free runs of fitted and test records must all shrink; the least counts. An
+    effect with states of its own is a force with a memory itself: none.
+    """
+    forces = [max(random_forces(c).values(), default=0.0) for c in (before, after)]
+    new = [e for e in after.model.effects if e.label not in before.model.labels]
+    if not forces[0] > 0 or any(e.states for e in new):
+        return 0.0
+    pairs = [(forces[0], forces[1]), (before.fit_error, after.fit_error)]
+    pairs += [(before.test_error, after.test_error)] if after.unseen else []
+    return min(itertools.starmap(_reduction_size, pairs))
