@@ -40,6 +40,7 @@ from spiral.inference.nearness import (
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence, memory_stand_ins
 from spiral.types.formatting import number, percent
+from spiral.types.horizon import changes
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.run import Comparison, Round, StopReason, Verdict
@@ -122,13 +123,20 @@ def missing_effects(rounds: Sequence[Round], settings: Settings) -> tuple[str, .
 def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
     """Whether much is left unexplained, and what was admitted takes little of it.
 
-    That is ``settings.smallest`` or less of the error of free runs on unseen data, where these are
-    not carried away.
+    Much is left where there are ``shortfalls``, or where random forces are to explain an error of
+    free runs that is larger than the noise. Little is ``settings.smallest`` or less of that error
+    on unseen data, where it is not carried away, and beside random forces of errors some time ahead
+    as well.
     """
     first, last = rounds[0].comparison, rounds[-1].comparison
-    if len(rounds) < 2 or is_free_run_carried_away(last) or not shortfalls(last, settings):
+    if len(rounds) < 2 or is_free_run_carried_away(last):
         return False
-    return last.test_error > (1 - settings.smallest) * first.test_error
+    fallen = [(first.test_error, last.test_error)]
+    if not shortfalls(last, settings):
+        if leaves_less_than_noise(last.test_error, last, settings):
+            return False
+        fallen += [(c.before, c.after) for c in changes(first.unseen, last.unseen)]
+    return all(after > (1 - settings.smallest) * before for before, after in fallen)
 
 
 def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:

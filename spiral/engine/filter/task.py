@@ -36,6 +36,7 @@ from spiral.types.model import Model
 from spiral.types.record import Array, Record
 
 _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
+_LOUD = 10.0  # times the measured deviation beyond which a free run has gone astray
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
 
 
@@ -49,7 +50,8 @@ class FilterInput:
     deviation of the settled states, ``rates`` (n,) that of their rates; ``static`` the static map,
     where there is one; ``moved`` are parameters that slopes will be asked by, for which one flow is
     compiled; ``prior`` is what is known of uncertain parameters; ``tied`` (n,) are the largest
-    first deviations of states that only move together with others (``filter.shifts``).
+    first deviations of states that only move together with others (``filter.shifts``). ``astray`` :
+    the free run that the scales were taken of moves far more than the record does.
     """
 
     model: Model
@@ -66,6 +68,7 @@ class FilterInput:
     moved: tuple[str, ...] = ()
     prior: Prior | None = None
     tied: Array | None = None
+    astray: bool = False
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -182,20 +185,20 @@ def build_task(
         series = prepare_series(model.system, record, substeps)
     mapping = static_map(compiled.traced, values)
     grid = series.inputs if inputs is None else inputs
-    names, tied = compiled.traced.states, None
+    names, tied, astray = compiled.traced.states, None, False
     if like is not None and set(names) <= set(like.states):  # no free run for what is not asked
         centre, scales, rates = (np.zeros(len(names)) for _ in range(3))
         tied = _adopt_ties(compiled, values, grid, like)
     else:
-        states = _settled_states(compiled, series, grid, values, mapping)
-        centre, scales, rates = _settled_scales(states, series.dt)
+        states, astray = _settled_states(compiled, series, grid, values, mapping)
+        centre, scales, rates = motion_scales(states, series.dt)
         shifts = common_shifts(compiled, values, grid.mean(axis=0), scales)
         tied = shifts.tied_deviations(states) if shifts.anchors else None
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
     begin = finite_state(compiled, values, begin, grid[0]) if start is None else begin
     task = FilterInput(
         model, compiled, series, values, grid, begin, scales.copy(), centre, scales, rates, mapping,
-        tied=tied,
+        tied=tied, astray=astray,
     )  # fmt: skip
     return task if like is None else _adopt_scales(task, like)
 
@@ -264,18 +267,21 @@ def _adopt_ties(
 
 def _settled_states(
     compiled: CompiledModel, series: Series, grid: Array, values: Array, mapping: StaticMap | None
-) -> Array:
-    """States (samples, n) of the free run, or of the smoothed measurements."""
-    states = run_from_rest(compiled, series, grid, values)
-    shown = compiled.traced.shown
-    seen = [compiled.traced.states.index(c) for c in shown]
-    measured = series.y.std(axis=0)[list(shown.values())]
-    if states is None or np.any(states.std(axis=0)[seen] < _QUIET * measured):
-        states = _guess_states(compiled, series, mapping)
-    return states
+) -> tuple[Array, bool]:
+    """States (samples, n) of the free run, or of the smoothed measurements; whether it is astray.
+
+    A machine that falls out of step, begun from rest, runs on by itself: its readings move
+    ``_LOUD`` times as much as measured, and its states tell no scale.
+    """
+    run = _run_with_readings(compiled, series, grid, values)
+    measured = series.y.std(axis=0)
+    shown = list(compiled.traced.shown.values())
+    if run is None or np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
+        return _guess_states(compiled, series, mapping), False
+    return run[0], bool(np.any(run[1].std(axis=0) > _LOUD * measured))
 
 
-def _settled_scales(states: Array, dt: float) -> tuple[Array, Array, Array]:
+def motion_scales(states: Array, dt: float) -> tuple[Array, Array, Array]:
     """Mean and standard deviation of states, and that of their rates."""
     rates = np.gradient(states, dt, axis=0).std(axis=0)
     scales = states.std(axis=0)
@@ -290,6 +296,14 @@ def run_from_rest(
     compiled: CompiledModel, series: Series, grid: Array, values: Array
 ) -> Array | None:
     """States (samples, n) from rest under the record's inputs; nothing where it diverges."""
+    run = _run_with_readings(compiled, series, grid, values)
+    return None if run is None else run[0]
+
+
+def _run_with_readings(
+    compiled: CompiledModel, series: Series, grid: Array, values: Array
+) -> tuple[Array, Array] | None:
+    """States as of ``run_from_rest``, and readings (samples, channels)."""
     n = len(compiled.traced.states)
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
     whole, first = np.array([series.samples]), np.zeros(1, dtype=np.int64)
@@ -298,7 +312,7 @@ def run_from_rest(
         compiled.rate_value, compiled.output_value, begin[None, :], first, whole,
         np.ascontiguousarray(values[None, :]), grid, series.substeps, series.dt, states, readings,
     )  # fmt: skip
-    return states if ok and np.all(np.isfinite(states)) else None
+    return (states, readings) if ok and np.all(np.isfinite(states)) else None
 
 
 def _guess_states(compiled: CompiledModel, series: Series, mapping: StaticMap | None) -> Array:

@@ -8,7 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
-from spiral.engine.filter.task import FilterInput, build_task, with_start_spread
+from spiral.engine.filter.task import (
+    FilterInput,
+    build_task,
+    motion_scales,
+    with_start_spread,
+)
 from spiral.engine.likelihood.fit import MaximumLikelihood, SlopeCache, maximise_likelihood
 from spiral.engine.likelihood.noise import (
     LEAST_FORCE,
@@ -25,6 +30,7 @@ from spiral.engine.likelihood.predict import (
     predict_cases,
     predict_readings,
 )
+from spiral.engine.likelihood.rates import rates_along
 from spiral.engine.resting import state_jacobian
 from spiral.engine.series import sample_inputs, steps_per_sample
 from spiral.engine.statistics import Whiteness, whiteness
@@ -42,6 +48,7 @@ LEVEL = 0.3  # first process noise: the filter follows a model that is wrong by 
 _USUAL, _PATIENT = 40, 100  # scoring steps of a rough fit, and of one to the very maximum, at most
 WARM = 6  # scoring steps of a fit on some blocks that starts from a fit of all samples
 _LEAST = 1.5  # times its lower limit, up to which the size of a random force counts as none
+_TRACKED = 2  # runs of a filter that tell the scales of a motion
 LITTLE = 0.05  # random force up to which it is small, as a share of the model's own
 _FAINT = 0.1  # share of the innovations' rms under which white noise counts as vanished
 WORTH = 1.0  # gain in log-likelihood from which other initial states or starts are taken
@@ -142,11 +149,32 @@ def prepare_filter_tasks(
             strict=True,
         )
     ]
+    tasks = [_with_tracked_scales(t) if t.astray else t for t in tasks]
     moved = free_parameters(assembly, state)
     return tuple(
         filter_prepared(replace(with_start_spread(t, spread), moved=moved), followed, known)
         for t, spread in zip(tasks, spreads, strict=True)
     )
+
+
+def _with_tracked_scales(task: FilterInput) -> FilterInput:
+    """The task with scales of the motion that a filter tracks, in place of those of a free run.
+
+    The filter doubts the model much, and follows the readings whatever the values are; it is run
+    twice, since its noise is a share of the scales. The task as it is where it runs away.
+    """
+    for _ in range(_TRACKED):
+        own, settings = filter_prepared(with_start_spread(task, None), ())
+        run = predict_readings(own, settings, first_noise(own, LEVEL), keep=True)
+        if not run.whole:
+            break
+        means = np.ascontiguousarray(run.means[run.done // 10 :, : len(task.states)])
+        centre, scales, rates = motion_scales(means, task.series.dt)
+        inputs = sample_inputs(task.inputs, task.series.substeps)[-len(means) :]
+        moving = rates_along(task.compiled, means, inputs, task.values).std(axis=0)
+        rates = np.where(moving > 0, moving, rates)  # without the filter's corrections
+        task = replace(task, centre=centre, scales=scales, rates=rates)
+    return task
 
 
 def apply_integration_settings(assembly: Assembly, state: FitState) -> Assembly:

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.likelihood.rates import rates_along
 from spiral.engine.series import sample_inputs
 from spiral.inference.where.latent import MissingForce, latent_keys
-from spiral.physics.compile import CompiledModel, compile_model
+from spiral.physics.compile import compile_model
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.model import Model
 from spiral.types.record import Array
@@ -51,14 +52,14 @@ def effect_own_force(missing: MissingForce, after: Model, label: str) -> OwnForc
     u = sample_inputs(missing.task.inputs, missing.task.series.substeps)[rows]
     own = np.ascontiguousarray(x[:, [known.index(n) for n in traced.states]])
     compiled = compile_model(traced)
-    with_it = _rates_along(compiled, own, u, _values_in_order(traced, after))
+    with_it = rates_along(compiled, own, u, _values_in_order(traced, after))
     absent = dict.fromkeys(after.amplitudes(label), 0.0)
     none = _values_in_order(traced, replace(after, values={**after.values, **absent}))
     gains = _force_gains(missing, x, u)
     alone = _least_squares_force(
-        gains, _reorder_rates(with_it - _rates_along(compiled, own, u, none), traced, known)
+        gains, _reorder_rates(with_it - rates_along(compiled, own, u, none), traced, known)
     )
-    before = _rates_along(missing.task.compiled, x, u, _values_without_latent(missing))
+    before = rates_along(missing.task.compiled, x, u, _values_without_latent(missing))
     refitted = _least_squares_force(gains, _reorder_rates(with_it, traced, known) - before)
     if not np.isfinite(refitted).all() or not np.any(alone):
         return None
@@ -84,15 +85,6 @@ def _force_gains(missing: MissingForce, x: Array, u: Array) -> Array:
     return missing.task.compiled.rate.parameter_slopes(
         x, u, _values_without_latent(missing), columns
     )
-
-
-def _rates_along(compiled: CompiledModel, x: Array, u: Array, p: Array) -> Array:
-    """Rates (samples, states) at every row of x and u."""
-    from spiral.engine.likelihood.signatures_kernel import evaluate_along
-
-    rates, readings = np.empty_like(x), np.empty((len(x), len(compiled.traced.channels)))
-    evaluate_along(compiled.rate_value, compiled.output_value, x, u, u, p, rates, readings)
-    return rates
 
 
 def _reorder_rates(rates: Array, traced: TracedModel, known: list[str]) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +62,7 @@ def refuse_unhelpful(
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
     size = max((_reduction_size(b, a) for b, a in pairs), default=0.0)
-    if max(size, _force_replacement_size(before, after)) >= settings.smallest:
+    if max(size, _force_replacement_share(before, after)) >= settings.smallest:
         return _refuse_below_noise(before, after, told, settings)
     removed = f"no more than {percent(size)}" if size > 0 else "nothing"
     return Refusal(
@@ -100,8 +99,8 @@ def _reduction_size(before: float, after: float) -> float:
     return float(size) if np.isfinite(size) else np.inf
 
 
-def _force_replacement_size(before: Comparison, after: Comparison) -> float:
-    """How far an effect replaces random forces that moved the free runs.
+def _force_replacement_share(before: Comparison, after: Comparison) -> float:
+    """How far an effect replaces random forces that moved the free runs: the share that is gone.
 
     The force and the free runs of fitted and test records must all shrink; the least counts. An
     effect with states of its own is a force with a memory itself: none.
@@ -112,4 +111,4 @@ def _force_replacement_size(before: Comparison, after: Comparison) -> float:
         return 0.0
     pairs = [(forces[0], forces[1]), (before.fit_error, after.fit_error)]
     pairs += [(before.test_error, after.test_error)] if after.unseen else []
-    return min(itertools.starmap(_reduction_size, pairs))
+    return min(1.0 - b / a if a > 0 else 0.0 for a, b in pairs)
