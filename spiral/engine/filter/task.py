@@ -300,17 +300,25 @@ def run_from_rest(
     return None if run is None else run[0]
 
 
+def run_from(task: FilterInput, begin: Array) -> Array | None:
+    """States (samples, n) of a free run from a first state; nothing where it diverges."""
+    run = _run_with_readings(task.compiled, task.series, task.inputs, task.values, begin)
+    return None if run is None else run[0]
+
+
 def _run_with_readings(
-    compiled: CompiledModel, series: Series, grid: Array, values: Array
+    compiled: CompiledModel, series: Series, grid: Array, values: Array, begin: Array | None = None
 ) -> tuple[Array, Array] | None:
-    """States as of ``run_from_rest``, and readings (samples, channels)."""
+    """States (samples, n) and readings (samples, channels) of a free run, from rest if no begin."""
     n = len(compiled.traced.states)
     states, readings = np.empty((series.samples, n)), np.empty_like(series.y)
     whole, first = np.array([series.samples]), np.zeros(1, dtype=np.int64)
-    begin = finite_state(compiled, values, np.zeros(n), series.mean_inputs)
+    if begin is None:
+        begin = finite_state(compiled, values, np.zeros(n), series.mean_inputs)
     ok = trajectories(
-        compiled.rate_value, compiled.output_value, begin[None, :], first, whole,
-        np.ascontiguousarray(values[None, :]), grid, series.substeps, series.dt, states, readings,
+        compiled.rate_value, compiled.output_value, np.array(begin, dtype=float)[None, :], first,
+        whole, np.ascontiguousarray(values[None, :]), grid, series.substeps, series.dt, states,
+        readings,
     )  # fmt: skip
     return (states, readings) if ok and np.all(np.isfinite(states)) else None
 

@@ -45,6 +45,7 @@ from spiral.inference.likelihood.departures import (
     far_value_sentences,
     reversed_sign_sentences,
 )
+from spiral.inference.likelihood.exogenous import followed_force_sentences
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     apply_integration_settings,
@@ -108,15 +109,17 @@ def compare_by_likelihood(
     carried = _free_run_uncertainty(
         other or assembly, model, run, starts, free.estimate, estimate.noise
     )
+    floor = _relative_noise_floor(estimate, names, run, other or assembly)
+    told = followed_force_sentences(fit) if carried.forces > floor else ()
     return state, Comparison(
         model=model,
         fit_error=_mean(e.relative for e in own.errors(names).values()),
         test_error=_mean(e.relative for e in errors.values()),
         channels=errors,
-        noise_floor=_relative_noise_floor(estimate, names, run, other or assembly),
+        noise_floor=floor,
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
-        **_note_fields(problem, state, model, fit, free),
+        **_note_fields(problem, state, model, fit, free, told),
         noise_ratio=_declared_noise_ratio(problem.records, state.noise),
         **seen,
         **_noise_and_residual_fields(assembly, fit, model, carried, run),
@@ -160,11 +163,13 @@ def _test_run(
 
 
 def _note_fields(
-    problem: Problem, state: FitState, model: Model, fit: LikelihoodFit, free: LikelihoodFit
-) -> dict[str, Any]:
+    problem: Problem, state: FitState, model: Model, fit: LikelihoodFit, free: LikelihoodFit,
+    told: tuple[str, ...],
+) -> dict[str, Any]:  # fmt: skip
     """Fields of the comparison: notes on records and values, bad samples, input interpolation.
 
-    ``free`` is the fit whose values are shown, in place of ``fit`` where it predicts far better.
+    ``free`` is the fit whose values are shown, in place of ``fit`` where it predicts far better;
+    ``told`` what else contradicts the noise.
     """
     said = (*(n for r in problem.records for n in r.remarks), *input_sentences(state.between))
     given = problem.model.given_values
@@ -175,6 +180,7 @@ def _note_fields(
             *reversed_sign_sentences(model, given),
             *(far_value_sentences(free.estimate, given) if free is not fit else ()),
             *free_run_sentences(fit, free),
+            *told,
         ),
         "spoilt": problem.spoilt_sentences(),
         "between": dict(state.between),

@@ -1,0 +1,159 @@
+"""Whether what acts at random is random: it is independent of the inputs, or it is no chance.
+
+A force that nobody knows may follow anything but what the inputs do to the machine. Let f be the
+force that the whole record tells (``engine.likelihood.disturbances``) and s the inputs and the
+states of a free run, which is a function of the inputs alone. On one half of the record (every
+other of ``_BLOCKS`` stretches) f is regressed on a curve over one s some time before,
+
+    f(t) = b_0 + sum_k b_k g_k(s(t - lag)),
+
+for each s and lag; the one that explains most there is judged by the share of f that it explains
+on the other half, and the halves change places. Where f is random the same figure comes out of f
+shifted in time against s, whatever the spectra of both are (a circular shift; the surrogate of
+Andrzejak and others 2003, Phys. Rev. E 68): f is no chance where no shift by a tenth of the record
+or more does as well, and more than a quarter of it is explained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.engine.filter.task import FilterInput, run_from
+from spiral.engine.likelihood.disturbances import smoothed_forces
+from spiral.engine.series import sample_inputs
+from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.types.formatting import number, percent
+from spiral.types.placement import TIME
+from spiral.types.record import Array
+from spiral.types.system import has_coordinates
+
+_BLOCKS = 8
+_LAGS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the time in which s changes by its deviation
+_FURTHEST = 4.0  # deviations, up to which curves go on
+_SHARP, _CORNERS = 3.0, (-1.0, 0.0, 1.0)  # of rounded steps, tanh(3 (s - corner))
+_SHARE = 0.25  # of the force's mean square
+_NEAR = 0.1  # share of the record by which a shifted force is another one
+_MOST = 16_384  # samples that are asked
+_ROOM = 2e7  # numbers that transitions of all samples may hold
+
+
+@dataclass(frozen=True)
+class FollowedForce:
+    """A force that follows ``source`` of ``lag`` s before, which explains ``share`` of it."""
+
+    state: str
+    source: str
+    lag: float
+    share: float
+
+
+def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
+    """The random force that is explained best by what the inputs do; nothing where all are chance.
+
+    The longest record is asked.
+    """
+    task, settings = max(fit.estimate.prepared, key=lambda pair: pair[0].series.samples)
+    size = len(task.states) + 1
+    if task.series.samples * size**2 > _ROOM:
+        return None
+    forces = smoothed_forces(task, settings, fit.estimate.noise)
+    sources = None if forces is None else _exogenous_motion(task, fit)
+    if forces is None or sources is None:
+        return None
+    most = slice(0, _MOST)
+    curves = [
+        (name, lag * task.series.dt, curve)
+        for name, s in sources.items()
+        for lag, curve in _delayed_curves(s[most])
+    ]
+    largest = forces.std(axis=0)
+    tested = (
+        _explained(task.states[i], forces[most, i], curves)
+        for i in np.flatnonzero(largest > 0) if curves
+    )  # fmt: skip
+    return max((t for t in tested if t is not None), key=lambda t: t.share, default=None)
+
+
+def followed_force_sentences(fit: LikelihoodFit) -> tuple[str, ...]:
+    """That a force beside the model is not random, and what it follows; empty where it may be."""
+    followed = followed_force(fit)
+    if followed is None:
+        return ()
+    system = fit.estimate.prepared[0][0].model.system
+    acting = "force" if has_coordinates(system) else "flow"
+    before = f" of {number(followed.lag, 2)} s before" if followed.lag else ""
+    return (
+        f"the random {acting} on {followed.state.removesuffix('_rate')} is no chance: "
+        f"{percent(followed.share)} of its mean square follows {followed.source}{before}",
+    )
+
+
+def _exogenous_motion(task: FilterInput, fit: LikelihoodFit) -> dict[str, Array] | None:
+    """Inputs, and states of a free run, by name; nothing where it runs away."""
+    states = run_from(task, task.start)
+    if states is None:
+        return None
+    inputs = sample_inputs(task.inputs, task.series.substeps)
+    names = task.compiled.traced.inputs
+    told = {n: u for n, u in zip(names, inputs.T, strict=True) if n != TIME}
+    return told | dict(zip(task.states, states.T, strict=True))
+
+
+def _delayed_curves(s: Array) -> Iterator[tuple[int, Array]]:
+    """Lags in samples, and what a curve over s at that time before is made of (samples, terms)."""
+    spread = s.std()
+    if not (np.isfinite(spread) and spread > 0):
+        return
+    z = np.clip((s - s.mean()) / spread, -_FURTHEST, _FURTHEST)
+    time = 1 / max(float(np.gradient(z).std()), 1 / len(z))
+    lags = dict.fromkeys(round(share * time) for share in _LAGS)
+    for lag in (k for k in lags if k <= _NEAR * len(z)):
+        past = np.concatenate([np.full(lag, z[0]), z[: len(z) - lag]])
+        steps = (np.tanh(_SHARP * (past - corner)) for corner in _CORNERS)
+        yield lag, np.column_stack([np.ones(len(past)), past, past**2, *steps])
+
+
+def _explained(
+    state: str, force: Array, curves: list[tuple[str, float, Array]]
+) -> FollowedForce | None:
+    """What a force follows, where that is no chance."""
+    f, count = force - force.mean(), len(force)
+    block = np.arange(count) * _BLOCKS // count
+    halves = (block % 2 == 0, block % 2 == 1)
+    share, each = np.zeros(count), np.zeros(len(curves))
+    for here, there in (halves, halves[::-1]):
+        fits = [_regress_shifted(curve, f, here, there) for *_, curve in curves]
+        best = np.argmax([inside for inside, _ in fits], axis=0)
+        outside = np.array([part for _, part in fits])
+        share += 0.5 * outside[best, np.arange(count)]
+        each += 0.5 * outside[:, 0]
+    source, lag, _ = curves[int(np.argmax(each))]
+    far = np.arange(round(_NEAR * count), count - round(_NEAR * count))
+    if not (share[0] >= _SHARE and share[0] > share[far].max(initial=-np.inf)):
+        return None
+    return FollowedForce(state, source, lag, float(share[0]))
+
+
+def _regress_shifted(curve: Array, force: Array, here: Array, there: Array) -> tuple[Array, Array]:
+    """For every circular shift of a force: shares that a curve fitted ``here`` explains of it.
+
+    That is here, and ``there``. All shifts at once are correlations, by the fast Fourier transform.
+    """
+    terms = curve.shape[1]
+    own, other = curve * here[:, None], curve * there[:, None]
+    masks = np.column_stack([here, there]).astype(float)
+    seen = _correlate(np.column_stack([own, other]), force)
+    energy = np.maximum(_correlate(masks, force**2), np.finfo(float).tiny)
+    b = np.linalg.pinv(own.T @ own) @ seen[:terms]
+    inside = np.sum(b * seen[:terms], axis=0) / energy[0]
+    left = 2 * np.sum(b * seen[terms:], axis=0) - np.sum(b * ((other.T @ other) @ b), axis=0)
+    return inside, left / energy[1]
+
+
+def _correlate(columns: Array, values: Array) -> Array:
+    """(columns, shifts) sum over t of column(t) value(t + shift), around the end."""
+    spectrum = np.conj(np.fft.rfft(columns, axis=0)) * np.fft.rfft(values)[:, None]
+    return np.fft.irfft(spectrum, len(values), axis=0).T
