@@ -146,6 +146,25 @@ def test_what_explains_little_of_what_is_left_unexplained_is_not_what_was_missin
     assert "More is missing" in words
 
 
+def ahead(error):
+    """An error some time ahead, the same in every block."""
+    return Horizon("ahead", 5, 0.5, {"x": (error**2,) * 5})
+
+
+@pytest.mark.parametrize(("later", "verdict"), [(0.05, "unknown_structure"),
+                                                (0.04, "effect_missing")])  # fmt: skip
+def test_random_forces_that_are_to_explain_the_rest_excuse_no_effect_that_does_nothing(
+    later, verdict
+):
+    """A free run off by 21 % before and after, and nothing better some time ahead either."""
+    seed = replace(POOR, test_error=0.21, unseen=(ahead(0.05),))
+    pushed = replace(GOOD, test_error=0.208, random={"force.observed": 0.1}, disturbed=0.11,
+                     unseen=(ahead(later),))  # fmt: skip
+    given, words, _ = said(rounds(pushed, seed), "whiteness")
+    assert given == verdict
+    assert ("explains little of it" in words) == (later == 0.05)
+
+
 def test_a_fit_that_did_not_converge_is_not_judged():
     _, words, advice = said(rounds(replace(GOOD, converged=False, chi2_per_dof=1435.0)))
     assert "Whether more is missing cannot be told: the fit did not converge" in words

@@ -33,7 +33,7 @@ def smoothed_forces(task: FilterInput, settings: FilterSettings, noise: NoiseMod
     added = _smoothed_noise(run, parts.q)
     first = added.shape[1] - len(parts.phi)
     forces, z = added[:, :n].copy(), np.zeros(len(parts.phi))
-    for k, row in enumerate(added[:, first:]):
+    for k, row in enumerate(added[:-1, first:]):
         forces[k] += task.series.dt * (parts.driven @ z)
         z = parts.phi @ z + row
     return forces

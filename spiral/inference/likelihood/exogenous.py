@@ -33,7 +33,7 @@ from spiral.types.system import has_coordinates
 _BLOCKS = 8
 _LAGS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the time in which s changes by its deviation
 _FURTHEST = 4.0  # deviations, up to which curves go on
-_SHARP, _CORNERS = 3.0, (-1.0, 0.0, 1.0)  # of rounded steps, tanh(3 (s - corner))
+_SHARP, _CORNERS = 3.0, (-1.0, -0.5, 0.0, 0.5, 1.0)  # of rounded steps, tanh(3 (s - corner))
 _SHARE = 0.25  # of the force's mean square
 _NEAR = 0.1  # share of the record by which a shifted force is another one
 _MOST = 16_384  # samples that are asked

@@ -1,0 +1,105 @@
+"""What acted at random, as the whole record tells it, and whether it was chance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.engine.likelihood.disturbances import smoothed_forces
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, noise_matrices
+from spiral.engine.likelihood.predict import predict_readings
+from spiral.inference.likelihood.exogenous import (
+    _delayed_curves,
+    _explained,
+    followed_force,
+    followed_force_sentences,
+)
+from spiral.inference.likelihood.fitting import fit_by_likelihood
+from spiral.types.model import seed_model
+from tests.scenes import effect
+from tests.swept_oscillator import record_of, relaxed, shaken, states_alone, task_of, unfitted
+
+WHITE = NoiseModel(
+    (NoiseTerm("white", "x"), NoiseTerm("force", "observed")),
+    {"white.x": 0.02, "force.observed": 0.05},
+)
+GUST = WHITE.with_terms((NoiseTerm("gust", "x_rate"),), {"gust.x_rate": 0.1, "gust.time": 0.05})
+
+
+@pytest.mark.parametrize("noise", [WHITE, GUST])
+def test_smoothed_forces_are_the_conditional_mean(noise):
+    """Of a linear machine E[w | y] = Cov(w, y) Cov(y)^-1 (y - E y), by matrices of the whole."""
+    task, settings = task_of(record_of(1, samples=64, noise=0.02))
+    parts = noise_matrices(task, settings, noise)
+    run = predict_readings(task, settings, noise, keep=True, carry=True)
+    count, size, n = len(run.misses), len(parts.q), len(task.states)
+    # every w_k and the first state as one vector; x_k and y_k are linear in it
+    whole = size * count
+    covariance = np.zeros((whole, whole))
+    covariance[:size, :size] = parts.p
+    for k in range(1, count):
+        covariance[k * size :, k * size :][:size, :size] = parts.q
+    state, rows = np.zeros((size, whole)), []
+    for k in range(count):
+        state[:, k * size : (k + 1) * size] += np.eye(size)
+        rows.append(run.rows[k] @ state)
+        state = run.transitions[k] @ state
+    seen = np.concatenate(rows)
+    free = task.series.y[:, 0] - states_alone(task, settings)[:, 0]
+    spread = seen @ covariance @ seen.T + noise.values["white.x"] ** 2 * np.eye(count)
+    told = (covariance @ seen.T @ np.linalg.solve(spread, free)).reshape(count, size)
+    expected = np.zeros((count, n))
+    z = np.zeros(size - n)
+    for k in range(count - 1):
+        expected[k] = told[k + 1, :n] + task.series.dt * parts.driven @ z
+        z = parts.phi @ z + told[k + 1, n:]
+    got = smoothed_forces(task, settings, noise)
+    assert got == pytest.approx(expected, rel=1e-6, abs=1e-9 * np.abs(expected).max())
+
+
+def curves_of(sources):
+    return [(name, float(lag), curve) for name, s in sources.items()
+            for lag, curve in _delayed_curves(s)]  # fmt: skip
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.95, 0.995])
+def test_chance_is_called_chance(keep):
+    """Of 40 forces that know nothing of the motion, whatever both spectra, none follows it."""
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        sources = {"u": relaxed(rng, 1500, 0.9), "x": relaxed(rng, 1500, 0.98)}
+        assert _explained("v", relaxed(rng, 1500, keep), curves_of(sources)) is None
+
+
+def test_what_switches_late_is_found_with_its_source_and_delay():
+    rng = np.random.default_rng(3)
+    sources = {"u": relaxed(rng, 3000, 0.9), "x": relaxed(rng, 3000, 0.98)}
+    late = np.roll(sources["x"], 8)
+    force = np.where(late > 0.5, 1.0, 0.0) + 0.3 * relaxed(rng, 3000, 0.9)
+    found = _explained("v", force, curves_of(sources))
+    assert found is not None
+    assert (found.state, found.source) == ("v", "x")
+    assert found.lag == pytest.approx(8, abs=4)
+    assert found.share > 0.4
+
+
+def fit_beside_force(record, known):
+    """The most likely values of the oscillator beside white noise and a white force."""
+    assembly, state = unfitted(record)
+    return fit_by_likelihood(assembly, replace(state, labels=known), steps=12, rough=True)
+
+
+def test_a_force_that_stands_in_for_a_spring_is_no_chance_and_one_that_shakes_is():
+    labels = seed_model(Oscillator()).labels
+    spring = effect("cubic_stiffness")
+    values = {"cubic_stiffness.stiffness": 4000.0, "linear_damping.damping": 8.0}
+    missing = fit_beside_force(record_of(0, 1500, 0.002, (spring,), values), labels)
+    found = followed_force(missing)
+    assert found is not None
+    assert (found.state, found.source) == ("x_rate", "x")
+    (told,) = followed_force_sentences(missing)
+    assert told.startswith("the random force on x is no chance")
+    random = fit_beside_force(shaken(0, 0.05), labels)
+    assert followed_force(random) is None
+    assert followed_force_sentences(random) == ()

@@ -1,0 +1,68 @@
+"""An effect must improve what is predicted of unseen data, by a size that counts."""
+
+from dataclasses import replace
+
+import pytest
+from spiral_plugins.systems.oscillator import Oscillator
+
+from spiral.inference.problem import Settings
+from spiral.inference.strategies.likelihood.benefit import refuse_unhelpful
+from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.horizon import Horizon
+from spiral.types.model import Model, seed_model
+from spiral.types.run import Comparison
+from tests.scenes import effect
+
+SETTINGS, OPTIONS = Settings(), LikelihoodOptions()
+SEED = seed_model(Oscillator())
+WITH_IT = Model(SEED.system, (*SEED.effects, effect("cubic_stiffness")))
+
+
+def horizons(*free):
+    """The free run's errors by channel in per cent, the same in every block of time."""
+    squares = {f"c{j}": (1e-4 * e**2,) * 5 for j, e in enumerate(free)}
+    return (Horizon("free_run", None, None, squares),)
+
+
+def known(errors, model=SEED, floor=0.01, **more):
+    """A model with the free run's errors by channel, in per cent."""
+    mean = 0.01 * sum(errors) / len(errors)
+    plain = Comparison(model, mean, mean, {}, floor, 1.0, 0.5, 0.0, 1024, True, random={})
+    return replace(plain, unseen=horizons(*errors), **more)
+
+
+def reason(before, after):
+    refused = refuse_unhelpful(OPTIONS, before, after, SETTINGS)
+    return "" if refused is None else refused.reason
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "counts"),
+    [
+        ((1.20,), (1.12,), False),  # 0.43 % of the motion, beneath the noise of 1 %
+        ((1.20,), (1.08,), True),  # 0.52 %
+        ((1.60,), (1.57,), True),  # above the noise: a tenth of what is left is enough
+        ((1.60,), (1.595,), False),
+        ((1.00, 1.30), (1.00, 1.17), True),  # of one reading alone: 0.57 %
+    ],
+)
+def test_beneath_the_noise_an_effect_must_count_in_the_motion_too(before, after, counts):
+    told = reason(known(before), known(after, WITH_IT))
+    assert (told == "") == counts
+    if not counts:
+        assert "too small to matter" in told
+
+
+def test_the_share_of_the_motion_is_a_setting():
+    small = replace(SETTINGS, smallest_share=0.004)
+    before, after = known((1.20,)), known((1.12,), WITH_IT)
+    assert refuse_unhelpful(OPTIONS, before, after, small) is None
+
+
+@pytest.mark.parametrize(("test", "helps"), [(0.17, True), (0.19, False)])
+def test_random_forces_are_replaced_where_a_tenth_of_every_error_is_gone(test, helps):
+    """A free run that random forces move is no witness alone: force, fit and test must all fall."""
+    before = known((20.0,), random={"force.observed": 0.13}, disturbed=0.15)
+    after = known((20.0,), WITH_IT, random={"force.observed": 0.09}, disturbed=0.10)
+    after = replace(after, fit_error=0.15, test_error=test)
+    assert (reason(before, after) == "") == helps
