@@ -112,7 +112,7 @@ class Equations(MechanicalSystem):
 
     @property
     def ports(self):
-        """Those named, one for each other coordinate, one between any two; else each state."""
+        """Those named, each other coordinate, between any two, at each element; else each state."""
         return _equation_ports(self)
 
     @property
@@ -209,5 +209,25 @@ def _equation_ports(system):
         for a, b in itertools.combinations(system.coordinates, 2)
         if a.unit == b.unit and not known & {f"{b.name}-{a.name}", f"{a.name}-{b.name}"}
     )
-    own = ((name, texts) for name, texts in between if name not in names)
-    return tuple(system._formula_port(name, texts) for name, texts in (*named, *derived, *own))
+    own = [(name, texts) for name, texts in between if name not in names]
+    ports = (*named, *derived, *own)
+    made = [system._formula_port(name, texts) for name, texts in ports]
+    more = _element_ports(system, ports)
+    return (*made, *(system._formula_port(name, texts) for name, texts in more))
+
+
+def _element_ports(system, ports):
+    """Where springs and dampers of the equations are that stand at no other port.
+
+    Such a port is called like its coordinates, or where that name is taken like the parameter.
+    """
+    from spiral.physics.formulas import syntax
+    from spiral.physics.formulas.elements import element_deflections, same_deflection
+
+    form, taken = system.form, {name for name, _ in ports}
+    known = [texts[0] for _, texts in ports if len(texts) == 1]
+    for parameter, text in element_deflections(form):
+        if not any(same_deflection(form, text, other) for other in known):
+            used = syntax.names(text)
+            joined = "_".join(c.name for c in form.coordinates if c.name in used)
+            yield (parameter if joined in taken else joined), (text,)

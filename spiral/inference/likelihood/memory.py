@@ -20,7 +20,8 @@ ratio of Wasserman, Ramdas and Balakrishnan 2020); here both are estimates, so i
 alarms is measured (``experiments/memory``). What changes the predictions by less than
 ``settings.smallest`` standard deviations, or is under a twentieth of the missing force's mean
 square, is not reported: a curve or a sensor that the present cannot follow exactly leaves as
-much.
+much. Neither is memory beside which a random force has to act that is no answer, and no half of
+what it was.
 """
 
 from __future__ import annotations
@@ -40,7 +41,11 @@ from spiral.engine.likelihood.predict import Masks, predict_readings
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.enlarge import make_variant, transfer_fit_state, with_variants
 from spiral.inference.evidence.scoring import amplitude_keys
-from spiral.inference.likelihood.fitting import LikelihoodFit, fit_by_likelihood
+from spiral.inference.likelihood.fitting import (
+    LikelihoodFit,
+    fit_by_likelihood,
+    largest_force,
+)
 from spiral.inference.likelihood.judging import maximise_on_blocks
 from spiral.inference.likelihood.scores import FilteredRecords, predicted_motion, rank_variants
 from spiral.inference.problem import Progress
@@ -110,6 +115,8 @@ def detect_memory(
     wide = _refit_with_variants(present, (past,), select)
     if not (present.fit.estimate.finite and wide.fit.estimate.finite):
         return None
+    if _leaves_as_much_to_chance(assembly, present, wide):
+        return None
     terms = len(amplitude_keys(wide.assembly, wide.assembly.variant(past.label)))
     gain = max(wide.fit.log_likelihood - present.fit.log_likelihood, 0.0)
     p_value = float(special.chdtrc(terms, 2 * gain))
@@ -125,6 +132,16 @@ def detect_memory(
         return None
     memory = _describe_memory(wide, past, p_value, told)
     return MemoryResult(memory, past) if memory.share >= _LEAST else None
+
+
+def _leaves_as_much_to_chance(assembly: Assembly, present: _Trial, wide: _Trial) -> bool:
+    """Whether a random force as large as no answer has acts beside the memory, too.
+
+    One that is above ``settings.random_limit`` and not half as large as without the memory: what is
+    missing is something else, to which a history is only nearer than no model.
+    """
+    before, after = (largest_force(t.fit.estimate.noise) for t in (present, wide))
+    return after > max(assembly.problem.settings.random_limit, _KEPT * before)
 
 
 def effects_replaced_by_memory(
