@@ -20,14 +20,10 @@ from numba import types
 from spiral.physics.compile import (
     MODEL_FUNCTION,
     ModelFunction,
-    begin_function,
-    element_address,
-    end_function,
     engine_of,
-    load_symbols,
     write_function,
 )
-from spiral.physics.emit import DOUBLE, Emitter, Node, number
+from spiral.physics.emit import DOUBLE, Node
 from spiral.physics.lanes import (
     LANES,
     ZEROS,
@@ -38,6 +34,7 @@ from spiral.physics.lanes import (
     load_lanes,
     store_lanes,
 )
+from spiral.physics.steps import StepWriter
 from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 
@@ -84,72 +81,19 @@ def compile_flow(traced: TracedModel, by: tuple[str, ...]) -> Flow:
     )
 
 
-class _FlowWriter:
-    """Writes ``advance``: over steps, their four stages, and the columns of S by fours."""
+class _FlowWriter(StepWriter):
+    """Writes ``advance``: the columns of S by fours, at every stage of a step."""
 
     def __init__(self, module: ir.Module, traced: TracedModel, columns: Sequence[int]) -> None:
-        self.traced, self.columns, self.n = traced, columns, len(traced.x)
-        self.builder, args = begin_function(module, "advance", FLOW_FUNCTION)
+        super().__init__(module, "advance", FLOW_FUNCTION, traced, columns)
         b = self.builder
-        self.x, self.u, self.p, self.s, self.work = (
-            b.extract_value(args[i], 4) for i in (0, 1, 6, 7, 8)
-        )
-        self.at, self.stride, self.substeps, self.step = args[2:6]
-        self.left_out = args[9]
-        self.inputs = b.extract_value(args[1], [5, 1])
-        self.width = b.extract_value(args[7], [5, 1])
+        self.s, self.work = (b.extract_value(self.args[i], 4) for i in (7, 8))
+        self.left_out = self.args[9]
+        self.width = b.extract_value(self.args[7], [5, 1])
         self.layer = b.mul(self.width, index(self.n))
-        size = ir.ArrayType(DOUBLE, max(self.n, 1))
-        self.slope, self.total = (b.gep(b.alloca(size), [index(0)] * 2) for _ in range(2))
         self.nowhere = b.alloca(DOUBLE)
 
-    def write(self) -> None:
-        """The whole function."""
-        b, traced = self.builder, self.traced
-        used = set().union(*(e.free_symbols for e in traced.rate))
-        parameters = load_symbols(b, self.p, traced.p, used)
-        half, sixth = (b.fmul(self.step, number(w)) for w in (0.5, 1 / 6))
-        with for_loop(b, self.substeps) as sub:
-            row = b.add(self.at, b.mul(sub, self.stride))
-            with for_loop(b, index(4)) as stage:
-                self._write_stage(row, stage, half, used, parameters)
-            for i in range(self.n):
-                place, total = (
-                    element_address(b, self.x, i),
-                    b.load(element_address(b, self.total, i)),
-                )
-                b.store(add_product(b, b.load(place), sixth, total), place)
-            self._finish_step(broadcast_lanes(b, sixth))
-        end_function(b)
-
-    def _write_stage(
-        self, row: Any, stage: Any, half: Any, used: set[Any], parameters: Any
-    ) -> None:
-        """Rates and their slopes at one point of the step, added to the sums."""
-        b, traced = self.builder, self.traced
-        first, last = (b.icmp_signed("==", stage, index(i)) for i in (0, 3))
-        zero = number(0.0)
-        point = b.select(first, zero, b.select(last, self.step, half))
-        gain = b.select(b.or_(first, last), number(1.0), number(2.0))
-        reached = b.add(row, b.lshr(b.add(stage, index(1)), index(1)))
-        inputs = b.gep(self.u, [b.mul(reached, self.inputs)])
-        here = {}
-        for i, symbol in enumerate(traced.x):
-            slope = b.select(first, zero, b.load(element_address(b, self.slope, i)))
-            here[symbol] = add_product(b, b.load(element_address(b, self.x, i)), point, slope)
-        symbols = {**here, **load_symbols(b, inputs, traced.u, used), **parameters}
-        active = {s: i for i, s in enumerate(traced.x)}
-        active |= {traced.p[j]: self.n + c for c, j in enumerate(self.columns)}
-        emitter = Emitter(b, symbols, active)
-        nodes = [emitter.node(e) for e in traced.rate]
-        for i, node in enumerate(nodes):
-            b.store(node.value, element_address(b, self.slope, i))
-            place = element_address(b, self.total, i)
-            so_far = b.select(first, zero, b.load(place))
-            b.store(add_product(b, so_far, gain, node.value), place)
-        self._write_slopes(nodes, first, point, gain)
-
-    def _write_slopes(self, nodes: Sequence[Node], first: Any, point: Any, gain: Any) -> None:
+    def use_stage(self, nodes: Sequence[Node], first: Any, point: Any, gain: Any) -> None:
         """J (S + point S') + [0 | f_p], added to the sums."""
         b, n = self.builder, self.n
         direct = [any(k >= n for k in node.slopes) for node in nodes]
@@ -176,9 +120,9 @@ class _FlowWriter:
                 self._store_lanes(value, self.work, i, 0, c)
                 self._store_lanes(add_product(b, sums, weight, value), self.work, i, 1, c)
 
-    def _finish_step(self, sixth: Any) -> None:
+    def finish_step(self, sixth: Any) -> None:
         """S <- S + step / 6 of the sums."""
-        b = self.builder
+        b, sixth = self.builder, broadcast_lanes(self.builder, sixth)
         with for_loop(b, self.width, LANES) as c:
             for i in range(self.n):
                 now, sums = self._load_lanes(self.s, i, 0, c), self._load_lanes(self.work, i, 1, c)

@@ -27,6 +27,12 @@ from numba import types
 
 from spiral.engine.filter.algebra import ABSORB, PRODUCT
 from spiral.engine.filter.kernel import is_sound, reset_to_identity, slope_workspace, write_tracked
+from spiral.engine.likelihood.alike import (
+    find_alike,
+    is_worth_asking,
+    keep_transition,
+    memory_of_transitions,
+)
 from spiral.engine.likelihood.steady import (
     CALM,
     absorb_steadily,
@@ -50,6 +56,7 @@ from spiral.engine.likelihood.transition import (
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
 from spiral.physics.lanes import INNER, LOOP, padded_width
+from spiral.physics.slope_bounds import BOUNDS_FUNCTION
 
 _F1, _F2, _F3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _I1 = types.int64[::1]
@@ -132,16 +139,34 @@ def _store_sample(k, c, x, kept, spreads, rows, means, gains):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _advance_sample(flow, x, inputs, k, substeps, dt, values, same, f, work, own, own_work):
+def _advance_sample(
+    flow, watch, x, inputs, k, substeps, dt, values, same, f, work, own, own_work, kept,
+    kept_slopes, bounds, counts, before,
+):  # fmt: skip
     """x a sample on, and its slopes f by states and parameters.
 
-    Where those by the states are the ``same`` as at the sample before, the others (``own``) alone.
+    Where those by the states are the ``same`` as at the sample before, or those of one that was
+    kept (``likelihood.alike``), the others (``own``) alone.
     """
     n, at, step = f.shape[0], k * substeps * 3, dt / substeps
-    if not same:
+    place = -2
+    if not same and is_worth_asking(bounds.shape[1], counts):
+        for i in range(n):
+            before[i] = x[i]
+        for v in range(bounds.shape[1]):
+            bounds[0, v], bounds[1, v] = np.inf, -np.inf
+        watch(before, inputs, at, 3, substeps, step, values, bounds)
+        place = find_alike(bounds, kept_slopes, counts)
+    if not same and place < 0:
         reset_to_identity(f)
         flow(x, inputs, at, 3, substeps, step, values, f, work, 0)
+        if place == -1:
+            keep_transition(f, kept, bounds, kept_slopes, counts)
         return
+    if not same:
+        for i in range(n):
+            for j in range(n):
+                f[i, j] = kept[place, i, j]
     own[:] = 0.0
     flow(x, inputs, at, 3, substeps, step, values, own, own_work, n)
     for i in range(n):
@@ -178,6 +203,7 @@ def _predict_along(
     y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains, rows,
     states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
     scratch, space, h, cx, cv, own, own_work, kept, kept_rows, variances, s, s_later,
+    watch, same_f, same_slopes, bounds, counts, before,
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
     size, width = len(q), slopes.shape[2]
@@ -197,8 +223,9 @@ def _predict_along(
             break
         write_tracked(values, followed, followed_states)
         add_forces(x, driven, entries, first, half)
-        _advance_sample(flow, x, inputs, k, substeps, dt, values, constant and k > 0, f, work,
-                        own, own_work)  # fmt: skip
+        _advance_sample(flow, watch, x, inputs, k, substeps, dt, values, constant and k > 0, f,
+                        work, own, own_work, same_f, same_slopes, bounds, counts,
+                        before)  # fmt: skip
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
         if calm >= CALM:
@@ -217,15 +244,15 @@ def _predict_along(
 
 @nb.njit(
     types.int64(
-        FLOW_FUNCTION, MODEL_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _F2, _F1, _I1, types.int64,
-        _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2, types.boolean, _F2, _F2,
-        _F3, _F2, _F3, _F3, _F3,
+        FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, MODEL_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1,
+        _F2, _F1, _I1, types.int64, _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2,
+        types.boolean, _F2, _F2, _F3, _F2, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
-    flow, output, product, lower, absorb, mean, covariance, values, both, tracked, inputs,
-    substeps, dt, y, r, q, phi, seen, driven, constant,
+    flow, watch, varying, output, product, lower, absorb, mean, covariance, values, both, tracked,
+    inputs, substeps, dt, y, r, q, phi, seen, driven, constant,
     misses, spreads, slopes, means, transitions, gains, rows,
 ):  # fmt: skip
     """One-step predictions of a record.
@@ -233,6 +260,8 @@ def predict_record(
     Parameters
     ----------
     flow, output : the model's flow and output with slopes by the parameters ``both``.
+    watch : the bounds of its slopes by states (``physics.slope_bounds``), of which so many are
+        ``varying``; 0 where transitions of samples alike are not looked for.
     product, lower, absorb : as in ``filter.algebra``.
     mean : (N,) of (states, tracked parameters, noise states) before the first sample; covariance :
         (N, N) of it. values : (parameters,), overwritten where tracked.
@@ -258,6 +287,7 @@ def predict_record(
     first = n + tracked
     f, work = slope_workspace(n, first + width)
     own, own_work = slope_workspace(n, tracked + width)
+    same_f, same_slopes, bounds, counts = memory_of_transitions(n, varying)
     p = _pad_covariance(covariance, width)
     wide, later = len(p), np.zeros_like(p)
     a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
@@ -274,7 +304,7 @@ def predict_record(
         y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains,
         rows, x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a,
         turned, x, c, d, scratch, space, h, cx, cv, own, own_work, kept, kept_rows, np.zeros(size),
-        s, s_later,
+        s, s_later, watch, same_f, same_slopes, bounds, counts, np.zeros(n),
     )  # fmt: skip
 
 
@@ -333,6 +363,7 @@ def _vary_along(
     means, gains, rows, before, seen, r, q, phis, misses, spreads,
     n, first, followed_states, entries, links, none, f, work, p, x, here, later,
     scratch, space, w, a, turned, own, own_work, kept, variances, calm,
+    watch, same_f, same_slopes, bounds, counts, departed,
 ):  # fmt: skip
     """The loop of ``vary_record``, in arrays made before."""
     samples, size = means.shape
@@ -351,8 +382,8 @@ def _vary_along(
                 here[i] = means[k, i]
             write_tracked(values, followed, followed_states)
             add_forces(here, driven, entries, first, 0.5 * dt)
-            _advance_sample(flow, here, inputs, k, substeps, dt, values, same, f, work, own,
-                            own_work)  # fmt: skip
+            _advance_sample(flow, watch, here, inputs, k, substeps, dt, values, same, f, work, own,
+                            own_work, same_f, same_slopes, bounds, counts, departed)  # fmt: skip
             transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
             _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
@@ -367,14 +398,15 @@ def _vary_along(
 
 @nb.njit(
     types.void(
-        FLOW_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1, _I1, _F2, types.int64, types.float64, _F2,
-        _F2, types.boolean, _F2, _F3, _F3, _F2, _F2, _F3, _F3, _F3, _F3, _F3, _F3,
+        FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, PRODUCT, PRODUCT, ABSORB, _F1, _I1, _F2,
+        types.int64, types.float64, _F2, _F2, types.boolean, _F2, _F3, _F3, _F2, _F2, _F3, _F3,
+        _F3, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def vary_record(
-    flow, product, lower, absorb, values, followed, inputs, substeps, dt, phi, driven, constant,
-    means, gains, rows, before, seen, starts, r, q, phis, misses, spreads,
+    flow, watch, varying, product, lower, absorb, values, followed, inputs, substeps, dt, phi,
+    driven, constant, means, gains, rows, before, seen, starts, r, q, phis, misses, spreads,
 ):  # fmt: skip
     """One-step predictions of a record under other models of its noise, along one filtered motion.
 
@@ -394,6 +426,7 @@ def vary_record(
     first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
     f, work = slope_workspace(n, first)
     own, own_work = slope_workspace(n, len(followed))
+    same_f, same_slopes, bounds, counts = memory_of_transitions(n, varying)
     blank = _pad_covariance(starts[0], 0)
     wide, p = len(blank), np.zeros((len(starts), *blank.shape))
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
@@ -407,5 +440,6 @@ def vary_record(
         n, first, here[:first], entries_of(driven), links, np.zeros((1, 0)), f, work, p, x, here,
         later, scratch, space, w, a, turned, own, own_work,
         np.zeros((len(starts), misses.shape[2], wide + 1)), np.zeros((len(starts), size)),
-        np.zeros(len(starts), dtype=np.int64),
+        np.zeros(len(starts), dtype=np.int64), watch, same_f, same_slopes, bounds, counts,
+        np.zeros(n),
     )  # fmt: skip

@@ -21,9 +21,11 @@ from spiral.engine.series import Series
 from spiral.engine.threads import run_in_threads
 from spiral.physics.flow import Flow, compile_flow
 from spiral.physics.linearity import jacobian_names
+from spiral.physics.slope_bounds import SlopeBounds, compile_slope_bounds, no_slope_bounds
 from spiral.types.record import Array
 
 RUNAWAY = -1e300
+_MANY = 16  # states from which transitions of samples alike are worth looking for
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,10 @@ def predict_readings(
     )  # fmt: skip
     series = task.series
     y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
+    watched = _watched_slopes(task, settings, len(both))
     done = predict_record(
-        flow.advance, flow.output, compiled.product, compiled.lower, compiled.absorb,
+        flow.advance, watched.advance, watched.count, flow.output,
+        compiled.product, compiled.lower, compiled.absorb,
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), task.inputs, series.substeps, series.dt,
         np.ascontiguousarray(y), white, parts.q, parts.phi,
@@ -129,6 +133,18 @@ def _task_flow(task: FilterInput, settings: FilterSettings, keys: tuple[str, ...
     """The flow of a task with slopes by tracked parameters and these; one for all that it moves."""
     moved = task.moved if task.moved[: len(keys)] == keys else keys
     return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
+
+
+def _watched_slopes(task: FilterInput, settings: FilterSettings, moved: int) -> SlopeBounds:
+    """What tells samples of one transition from others, where that may save most of the columns.
+
+    ``moved`` : parameters that the columns beside those of the states are of. None where F is made
+    once in any case, or where a tracked parameter may change it.
+    """
+    few = len(task.states) < max(_MANY, 2 * moved)
+    if few or settings.tracked or _is_transition_constant(task, settings):
+        return no_slope_bounds()
+    return compile_slope_bounds(task.compiled.traced)
 
 
 def _is_transition_constant(task: FilterInput, settings: FilterSettings) -> bool:
@@ -158,9 +174,11 @@ def vary_noise(
     r = np.array([_white_variances(m.r, task.series) for m in parts])
     misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
     series = task.series
+    watched = _watched_slopes(task, settings, len(tracked))
     vary_record(
-        flow.advance, compiled.product, compiled.lower, compiled.absorb, task.values.copy(),
-        tracked, task.inputs, series.substeps, series.dt, first.phi, first.driven,
+        flow.advance, watched.advance, watched.count,
+        compiled.product, compiled.lower, compiled.absorb, task.values.copy(), tracked, task.inputs,
+        series.substeps, series.dt, first.phi, first.driven,
         _is_transition_constant(task, settings), run.means, run.gains, run.rows, run.misses,
         run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip
