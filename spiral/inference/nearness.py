@@ -183,6 +183,14 @@ def is_free_run_carried_away(comparison: Comparison) -> bool:
     return comparison.random is not None and not _random_spread(comparison) < 1.0
 
 
+def is_free_run_telling_little(comparison: Comparison) -> bool:
+    """Whether a free run misses more than half of all motion, though it is not carried away.
+
+    Random forces and uncertain values may explain that, and would hide whatever is as large.
+    """
+    return comparison.test_error > _HALF and not is_free_run_carried_away(comparison)
+
+
 def is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:
     """Whether a random force, and no noise of the sensors, makes most of a free run's error.
 

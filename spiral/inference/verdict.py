@@ -28,6 +28,7 @@ from spiral.inference.nearness import (
     has_own_colour,
     is_error_unexplained,
     is_free_run_carried_away,
+    is_free_run_telling_little,
     is_near_noise,
     is_residual_white,
     leaves_less_than_noise,
@@ -209,6 +210,8 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
     if verdict == "nothing_missing":
         if random_forces(comparison) and comparison.disturbed > comparison.noise_floor:
             words = "Nothing is missing but what acts at random"
+            if is_free_run_telling_little(comparison):
+                words = "This record does not tell whether more is missing than what acts at random"
         return f"{words}: {_figures_clause(comparison, settings)}.{' ' + random if random else ''}"
     reasons = shortfalls(comparison, settings)
     if (

@@ -103,6 +103,21 @@ def test_what_was_never_larger_than_the_noise_is_named_with_that():
     )
 
 
+@pytest.mark.parametrize(
+    ("error", "moved", "words"),
+    [
+        (0.3, 0.4, "Nothing is missing but what acts at random:"),
+        (0.7, 0.4, "This record does not tell whether more is missing than what acts at random:"),
+        (1.4, 1.5, "Nothing is missing but what acts at random:"),  # errors ahead tell there
+    ],
+)
+def test_a_free_run_that_misses_half_of_all_motion_is_no_proof(error, moved, words):
+    unseen = (Horizon("one_sample", 1, 0.1, {"x": (0.02**2,) * 5}),)
+    pushed = replace(GOOD, random={"force.observed": 0.1}, disturbed=moved, test_error=error,
+                     unseen=unseen)  # fmt: skip
+    assert verdict_sentence("nothing_missing", pushed, SETTINGS).startswith(words)
+
+
 @pytest.mark.parametrize(("moved", "told"), [(0.05, False), (0.4, True)])
 def test_random_forces_that_carry_a_free_run_are_no_quiet_end(moved, told):
     pushed = replace(GOOD, random={"force.observed": 0.04}, disturbed=moved, test_error=0.3)
