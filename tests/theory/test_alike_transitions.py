@@ -122,7 +122,7 @@ def _call(advance, x, inputs, p, seen):
 
 
 def test_what_is_kept_is_found_again_and_the_oldest_goes():
-    kept, slopes, bounds, counts = memory_of_transitions(2, 1)
+    kept, slopes, bounds, counts, _ = memory_of_transitions(2, 1)
     for number in range(KEPT + 1):
         bounds[:2] = 10.0 + number
         assert find_alike(bounds, slopes, counts) == -1

@@ -11,7 +11,7 @@ from spiral.engine.filter.noise import noise_intensity
 from spiral.engine.filter.setup import choose_levels, prepare_filter
 from spiral.engine.filter.task import prepare_task
 from spiral.inference.disturbances import random_forces
-from spiral.inference.strategies.likelihood.admission import _force_replacement_size
+from spiral.inference.strategies.likelihood.benefit import _force_replacement_share
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import Horizon
 from spiral.types.model import seed_model
@@ -78,17 +78,19 @@ def _compared(force, fit, test, *effects):
 
 
 def test_the_least_of_three_errors_says_what_a_random_force_no_longer_has_to_do():
-    """sqrt((b / a)^2 - 1) of the force and of both free runs: 2 -> 1 is sqrt(3)."""
+    """The share of the force and of both free runs that is gone: 2 -> 1 is a half."""
     before, cubic = _compared(0.2, 0.10, 0.20), effect("cubic_stiffness")
     after = _compared(0.1, 0.05, 0.10, cubic)
-    assert _force_replacement_size(before, after) == pytest.approx(np.sqrt(3.0))
-    assert _force_replacement_size(before, _compared(0.1, 0.05, 0.25, cubic)) == 0.0
-    assert _force_replacement_size(before, _compared(0.2, 0.05, 0.10, cubic)) == 0.0
+    assert _force_replacement_share(before, after) == pytest.approx(0.5)
+    assert _force_replacement_share(before, _compared(0.1, 0.05, 0.25, cubic)) < 0.0
+    assert _force_replacement_share(before, _compared(0.2, 0.05, 0.10, cubic)) == 0.0
 
 
 def test_a_force_with_a_memory_of_its_own_counts_for_nothing_there():
     before = _compared(0.2, 0.10, 0.20)
-    assert _force_replacement_size(before, _compared(0.1, 0.05, 0.10, effect("hidden_mode"))) == 0.0
+    assert (
+        _force_replacement_share(before, _compared(0.1, 0.05, 0.10, effect("hidden_mode"))) == 0.0
+    )
 
 
 def test_a_filter_takes_levels_of_groups_and_of_single_states():

@@ -22,9 +22,9 @@ USED, NEXT, ASKED, FOUND = range(4)
 
 @nb.njit(cache=True, nogil=True)
 def memory_of_transitions(n, varying):
-    """Kept transitions (KEPT, n, n), their slopes; range and scale of slopes; counts."""
+    """Kept transitions (KEPT, n, n), their slopes; range and scale of slopes; counts; room."""
     slopes, bounds = np.zeros((KEPT, varying)), np.zeros((3, varying))
-    return np.zeros((KEPT, n, n)), slopes, bounds, np.zeros(4, dtype=np.int64)
+    return np.zeros((KEPT, n, n)), slopes, bounds, np.zeros(4, dtype=np.int64), np.zeros(n)
 
 
 @nb.njit(**INNER)

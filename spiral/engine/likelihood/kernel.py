@@ -140,8 +140,7 @@ def _store_sample(k, c, x, kept, spreads, rows, means, gains):
 
 @nb.njit(**INNER, fastmath=_FAST)
 def _advance_sample(
-    flow, watch, x, inputs, k, substeps, dt, values, same, f, work, own, own_work, kept,
-    kept_slopes, bounds, counts, before,
+    flow, watch, x, inputs, k, substeps, dt, values, same, f, work, own, own_work, alike
 ):  # fmt: skip
     """x a sample on, and its slopes f by states and parameters.
 
@@ -149,6 +148,7 @@ def _advance_sample(
     kept (``likelihood.alike``), the others (``own``) alone.
     """
     n, at, step = f.shape[0], k * substeps * 3, dt / substeps
+    kept, kept_slopes, bounds, counts, before = alike
     place = -2
     if not same and is_worth_asking(bounds.shape[1], counts):
         for i in range(n):
@@ -202,8 +202,7 @@ def _predict_along(
     values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
     y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains, rows,
     states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
-    scratch, space, h, cx, cv, own, own_work, kept, kept_rows, variances, s, s_later,
-    watch, same_f, same_slopes, bounds, counts, before,
+    scratch, space, h, cx, cv, own, own_work, kept, kept_rows, variances, s, s_later, watch, alike,
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
     size, width = len(q), slopes.shape[2]
@@ -224,8 +223,7 @@ def _predict_along(
         write_tracked(values, followed, followed_states)
         add_forces(x, driven, entries, first, half)
         _advance_sample(flow, watch, x, inputs, k, substeps, dt, values, constant and k > 0, f,
-                        work, own, own_work, same_f, same_slopes, bounds, counts,
-                        before)  # fmt: skip
+                        work, own, own_work, alike)  # fmt: skip
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
         if calm >= CALM:
@@ -287,7 +285,6 @@ def predict_record(
     first = n + tracked
     f, work = slope_workspace(n, first + width)
     own, own_work = slope_workspace(n, tracked + width)
-    same_f, same_slopes, bounds, counts = memory_of_transitions(n, varying)
     p = _pad_covariance(covariance, width)
     wide, later = len(p), np.zeros_like(p)
     a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
@@ -304,7 +301,7 @@ def predict_record(
         y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains,
         rows, x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a,
         turned, x, c, d, scratch, space, h, cx, cv, own, own_work, kept, kept_rows, np.zeros(size),
-        s, s_later, watch, same_f, same_slopes, bounds, counts, np.zeros(n),
+        s, s_later, watch, memory_of_transitions(n, varying),
     )  # fmt: skip
 
 
@@ -362,8 +359,7 @@ def _vary_along(
     values, flow, product, lower, absorb, followed, inputs, substeps, dt, phi, driven, constant,
     means, gains, rows, before, seen, r, q, phis, misses, spreads,
     n, first, followed_states, entries, links, none, f, work, p, x, here, later,
-    scratch, space, w, a, turned, own, own_work, kept, variances, calm,
-    watch, same_f, same_slopes, bounds, counts, departed,
+    scratch, space, w, a, turned, own, own_work, kept, variances, calm, watch, alike,
 ):  # fmt: skip
     """The loop of ``vary_record``, in arrays made before."""
     samples, size = means.shape
@@ -383,7 +379,7 @@ def _vary_along(
             write_tracked(values, followed, followed_states)
             add_forces(here, driven, entries, first, 0.5 * dt)
             _advance_sample(flow, watch, here, inputs, k, substeps, dt, values, same, f, work, own,
-                            own_work, same_f, same_slopes, bounds, counts, departed)  # fmt: skip
+                            own_work, alike)  # fmt: skip
             transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for v in range(len(x)):
             _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
@@ -426,7 +422,6 @@ def vary_record(
     first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
     f, work = slope_workspace(n, first)
     own, own_work = slope_workspace(n, len(followed))
-    same_f, same_slopes, bounds, counts = memory_of_transitions(n, varying)
     blank = _pad_covariance(starts[0], 0)
     wide, p = len(blank), np.zeros((len(starts), *blank.shape))
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
@@ -440,6 +435,5 @@ def vary_record(
         n, first, here[:first], entries_of(driven), links, np.zeros((1, 0)), f, work, p, x, here,
         later, scratch, space, w, a, turned, own, own_work,
         np.zeros((len(starts), misses.shape[2], wide + 1)), np.zeros((len(starts), size)),
-        np.zeros(len(starts), dtype=np.int64), watch, same_f, same_slopes, bounds, counts,
-        np.zeros(n),
+        np.zeros(len(starts), dtype=np.int64), watch, memory_of_transitions(n, varying),
     )  # fmt: skip

@@ -14,6 +14,7 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.inference.verdict import undetermined_effects
 from spiral.types.formatting import percent
 from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison
@@ -77,8 +78,13 @@ def _refuse_below_noise(
     """Refuse an effect beneath the noise that changes predictions by too small a share of motion.
 
     The share is sqrt(before^2 - after^2) of errors over a reading's deviation, the largest over
-    the horizons that are ``told`` and the readings.
+    the horizons that are ``told`` and the readings. Beside an effect of whose values the record
+    tells none nothing is refused so: that may only stand in for what is missing.
     """
+    model = before.model
+    added = [e.label for e in model.effects if e not in model.system.seed]
+    if undetermined_effects(model, added, settings):
+        return None
     if not leaves_less_than_noise(before.test_error, after, settings):
         return None
     old, new = ({h.name: h.channels for h in c.unseen} for c in (before, after))
