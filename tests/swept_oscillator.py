@@ -4,7 +4,7 @@ import numpy as np
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.engine.filter.setup import prepare_filter
-from spiral.engine.filter.task import prepare_task
+from spiral.engine.filter.task import prepare_task, run_from
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
 
@@ -28,16 +28,7 @@ def task_of(record, effects=(), values=None, substeps=4):
 
 def states_alone(task, settings):
     """The model's motion from the filter's first mean, without measurements."""
-    from spiral.engine.kernel import trajectories
-
-    series = task.series
-    states, readings = np.empty((series.samples, len(task.states))), np.empty_like(series.y)
-    trajectories(
-        task.compiled.rate_value, task.compiled.output_value, settings.start[None, :].copy(),
-        np.zeros(1, dtype=np.int64), np.array([series.samples]), task.values[None, :].copy(),
-        task.inputs, series.substeps, series.dt, states, readings,
-    )  # fmt: skip
-    return states
+    return run_from(task, settings.start)
 
 
 def shaken(seed, level):

@@ -222,12 +222,11 @@ def _element_ports(system, ports):
     Such a port is called like its coordinates, or where that name is taken like the parameter.
     """
     from spiral.physics.formulas import syntax
-    from spiral.physics.formulas.elements import element_deflections, same_deflection
+    from spiral.physics.formulas.elements import element_deflections
 
     form, taken = system.form, {name for name, _ in ports}
     known = [texts[0] for _, texts in ports if len(texts) == 1]
-    for parameter, text in element_deflections(form):
-        if not any(same_deflection(form, text, other) for other in known):
-            used = syntax.names(text)
-            joined = "_".join(c.name for c in form.coordinates if c.name in used)
-            yield (parameter if joined in taken else joined), (text,)
+    for parameter, text in element_deflections(form, known):
+        used = syntax.names(text)
+        joined = "_".join(c.name for c in form.coordinates if c.name in used)
+        yield (parameter if joined in taken else joined), (text,)

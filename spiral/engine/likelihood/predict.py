@@ -112,14 +112,15 @@ def predict_readings(
     )  # fmt: skip
     series = task.series
     y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
-    watched = _watched_slopes(task, settings, len(both))
+    constant = _is_transition_constant(task, settings)
+    watched = _watched_slopes(task, settings, len(both), constant)
     done = predict_record(
         flow.advance, watched.advance, watched.count, flow.output,
         compiled.product, compiled.lower, compiled.absorb,
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), task.inputs, series.substeps, series.dt,
         np.ascontiguousarray(y), white, parts.q, parts.phi,
-        parts.seen, parts.driven, _is_transition_constant(task, settings), *arrays,
+        parts.seen, parts.driven, constant, *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done), settings.volume)
 
@@ -135,14 +136,16 @@ def _task_flow(task: FilterInput, settings: FilterSettings, keys: tuple[str, ...
     return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
 
 
-def _watched_slopes(task: FilterInput, settings: FilterSettings, moved: int) -> SlopeBounds:
+def _watched_slopes(
+    task: FilterInput, settings: FilterSettings, moved: int, constant: bool
+) -> SlopeBounds:
     """What tells samples of one transition from others, where that may save most of the columns.
 
-    ``moved`` : parameters that the columns beside those of the states are of. None where F is made
-    once in any case, or where a tracked parameter may change it.
+    ``moved`` : parameters that the columns beside those of the states are of. None where F is
+    ``constant``, and made once in any case, or where a tracked parameter may change it.
     """
     few = len(task.states) < max(_MANY, 2 * moved)
-    if few or settings.tracked or _is_transition_constant(task, settings):
+    if few or constant or settings.tracked:
         return no_slope_bounds()
     return compile_slope_bounds(task.compiled.traced)
 
@@ -174,12 +177,13 @@ def vary_noise(
     r = np.array([_white_variances(m.r, task.series) for m in parts])
     misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
     series = task.series
-    watched = _watched_slopes(task, settings, len(tracked))
+    constant = _is_transition_constant(task, settings)
+    watched = _watched_slopes(task, settings, len(tracked), constant)
     vary_record(
         flow.advance, watched.advance, watched.count,
         compiled.product, compiled.lower, compiled.absorb, task.values.copy(), tracked, task.inputs,
         series.substeps, series.dt, first.phi, first.driven,
-        _is_transition_constant(task, settings), run.means, run.gains, run.rows, run.misses,
+        constant, run.means, run.gains, run.rows, run.misses,
         run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip
     return [(misses[j], spreads[j]) for j in range(len(others))]

@@ -24,11 +24,11 @@ import numpy as np
 from spiral.engine.filter.task import FilterInput, run_from
 from spiral.engine.likelihood.disturbances import smoothed_forces
 from spiral.engine.series import sample_inputs
+from spiral.inference.disturbances import what_acts
 from spiral.inference.likelihood.fitting import LikelihoodFit
 from spiral.types.formatting import number, percent
 from spiral.types.placement import TIME
 from spiral.types.record import Array
-from spiral.types.system import has_coordinates
 
 _BLOCKS = 8
 _LAGS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the time in which s changes by its deviation
@@ -60,7 +60,7 @@ def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
     if task.series.samples * size**2 > _ROOM:
         return None
     forces = smoothed_forces(task, settings, fit.estimate.noise)
-    sources = None if forces is None else _exogenous_motion(task, fit)
+    sources = None if forces is None else _exogenous_motion(task)
     if forces is None or sources is None:
         return None
     most = slice(0, _MOST)
@@ -69,11 +69,8 @@ def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
         for name, s in sources.items()
         for lag, curve in _delayed_curves(s[most])
     ]
-    largest = forces.std(axis=0)
-    tested = (
-        _explained(task.states[i], forces[most, i], curves)
-        for i in np.flatnonzero(largest > 0) if curves
-    )  # fmt: skip
+    pushed = np.flatnonzero(forces.std(axis=0) > 0) if curves else []
+    tested = (_explained(task.states[i], forces[most, i], curves) for i in pushed)
     return max((t for t in tested if t is not None), key=lambda t: t.share, default=None)
 
 
@@ -82,8 +79,7 @@ def followed_force_sentences(fit: LikelihoodFit) -> tuple[str, ...]:
     followed = followed_force(fit)
     if followed is None:
         return ()
-    system = fit.estimate.prepared[0][0].model.system
-    acting = "force" if has_coordinates(system) else "flow"
+    acting = what_acts(fit.estimate.prepared[0][0].model)
     before = f" of {number(followed.lag, 2)} s before" if followed.lag else ""
     return (
         f"the random {acting} on {followed.state.removesuffix('_rate')} is no chance: "
@@ -91,7 +87,7 @@ def followed_force_sentences(fit: LikelihoodFit) -> tuple[str, ...]:
     )
 
 
-def _exogenous_motion(task: FilterInput, fit: LikelihoodFit) -> dict[str, Array] | None:
+def _exogenous_motion(task: FilterInput) -> dict[str, Array] | None:
     """Inputs, and states of a free run, by name; nothing where it runs away."""
     states = run_from(task, task.start)
     if states is None:
@@ -122,13 +118,12 @@ def _explained(
     """What a force follows, where that is no chance."""
     f, count = force - force.mean(), len(force)
     block = np.arange(count) * _BLOCKS // count
-    halves = (block % 2 == 0, block % 2 == 1)
+    halves = np.column_stack([block % 2 == 0, block % 2 == 1]).astype(float)
+    energy = np.maximum(_correlate(halves, f**2), np.finfo(float).tiny)
+    fits = np.array([_regress_shifted(curve, f, halves, energy) for *_, curve in curves])
     share, each = np.zeros(count), np.zeros(len(curves))
-    for here, there in (halves, halves[::-1]):
-        fits = [_regress_shifted(curve, f, here, there) for *_, curve in curves]
-        best = np.argmax([inside for inside, _ in fits], axis=0)
-        outside = np.array([part for _, part in fits])
-        share += 0.5 * outside[best, np.arange(count)]
+    for inside, outside in fits.transpose(1, 2, 0, 3):  # of every curve, at every shift
+        share += 0.5 * outside[np.argmax(inside, axis=0), np.arange(count)]
         each += 0.5 * outside[:, 0]
     source, lag, _ = curves[int(np.argmax(each))]
     far = np.arange(round(_NEAR * count), count - round(_NEAR * count))
@@ -137,20 +132,22 @@ def _explained(
     return FollowedForce(state, source, lag, float(share[0]))
 
 
-def _regress_shifted(curve: Array, force: Array, here: Array, there: Array) -> tuple[Array, Array]:
-    """For every circular shift of a force: shares that a curve fitted ``here`` explains of it.
+def _regress_shifted(curve: Array, force: Array, halves: Array, energy: Array) -> Array:
+    """(2, 2, shifts) shares of a force, shifted around the end, that a curve explains.
 
-    That is here, and ``there``. All shifts at once are correlations, by the fast Fourier transform.
+    Fitted on either of the ``halves`` (samples, 2), of the force there and on the other half;
+    ``energy`` (2, shifts) is the force's on each. All shifts at once are correlations, by the fast
+    Fourier transform.
     """
-    terms = curve.shape[1]
-    own, other = curve * here[:, None], curve * there[:, None]
-    masks = np.column_stack([here, there]).astype(float)
-    seen = _correlate(np.column_stack([own, other]), force)
-    energy = np.maximum(_correlate(masks, force**2), np.finfo(float).tiny)
-    b = np.linalg.pinv(own.T @ own) @ seen[:terms]
-    inside = np.sum(b * seen[:terms], axis=0) / energy[0]
-    left = 2 * np.sum(b * seen[terms:], axis=0) - np.sum(b * ((other.T @ other) @ b), axis=0)
-    return inside, left / energy[1]
+    parts = [curve * half[:, None] for half in halves.T]
+    squares, seen = [part.T @ part for part in parts], [_correlate(part, force) for part in parts]
+    shares = []
+    for here, there in ((0, 1), (1, 0)):
+        b = np.linalg.pinv(squares[here]) @ seen[here]
+        inside = np.sum(b * seen[here], axis=0) / energy[here]
+        left = 2 * np.sum(b * seen[there], axis=0) - np.sum(b * (squares[there] @ b), axis=0)
+        shares.append((inside, left / energy[there]))
+    return np.array(shares)
 
 
 def _correlate(columns: Array, values: Array) -> Array:

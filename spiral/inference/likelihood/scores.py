@@ -22,6 +22,7 @@ from spiral.engine.leastsquares import triangle
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
 from spiral.engine.likelihood.predict import Masks, Prediction, predict_readings
+from spiral.engine.likelihood.rates import rates_and_readings_along
 from spiral.engine.score import build_score_table, residual_block_samples
 from spiral.engine.sensitivities import Reduction
 from spiral.engine.series import sample_inputs
@@ -278,7 +279,7 @@ def predicted_motion(
     rows = np.ascontiguousarray(part.expected[:, : len(task.states)])
 
     def evaluate_model(u: Array | float, p: Array) -> tuple[Array, Array]:
-        rates, readings = _evaluate_along(task, rows, inputs + u, read + u, p)
+        rates, readings = rates_and_readings_along(task.compiled, rows, inputs + u, read + u, p)
         return rates[:, :n], readings
 
     def slopes(u: Array | float, p: Array | float, step: float) -> tuple[Array, Array]:
@@ -303,20 +304,6 @@ def predicted_motion(
     return SystemMotion(
         system, rows[:, :n], inputs, rates, readings, values, by_input, by_parameter, moved
     )
-
-
-def _evaluate_along(
-    task: FilterInput, rows: Array, inputs: Array, read: Array, values: Array
-) -> tuple[Array, Array]:
-    """Rates at states (samples, n) under ``inputs``, and readings there under ``read``."""
-    from spiral.engine.likelihood.signatures_kernel import evaluate_along
-
-    rates, readings = np.empty_like(rows), np.empty_like(task.series.y)
-    evaluate_along(
-        task.compiled.rate_value, task.compiled.output_value, rows, inputs, read, values, rates,
-        readings,
-    )  # fmt: skip
-    return rates, readings
 
 
 def _varied_keys(assembly: Assembly) -> set[str]:

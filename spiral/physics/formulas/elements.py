@@ -9,8 +9,8 @@ by the gradient of any of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
 
 import sympy as sp
 
@@ -18,63 +18,65 @@ from spiral.physics.formulas import syntax
 from spiral.physics.formulas.equations import StandardForm
 from spiral.physics.formulas.symbolic import formula_text
 
+Gradient = dict[sp.Symbol, sp.Expr]
+"""Slopes of a deflection, or of a force by a parameter, by the coordinates that enter it."""
 
-@lru_cache(maxsize=64)
-def element_deflections(form: StandardForm) -> tuple[tuple[str, str], ...]:
+
+def element_deflections(form: StandardForm, known: Iterable[str]) -> Iterator[tuple[str, str]]:
     """(parameter, deflection as a formula) of elements on two or more coordinates, each once.
 
     A deflection is one coordinate and multiples of the others; of these formulas the one without
     fractions, or the shortest. A damper has that of its rates. What is no linear combination (a
-    pendulum's weight), or depends on inputs (a wheel on a road), has none.
+    pendulum's weight), or depends on inputs (a wheel on a road), has none; those ``known``, or
+    their negatives, are left out.
     """
-    known = {n: sp.Symbol(n, real=True) for n in form.units}
-    forces = [sp.sympify(syntax.compute(text, known)) for text in form.force]
-    places = [known[c.name] for c in form.coordinates]
-    rates = dict(zip((known[r] for r in form.rates), places, strict=True))
-    moving = {*places, *rates, *(known[s.name] for s in form.others)}
-    given = {known[i.name] for i in form.definition.inputs}
-    found: dict[str, tuple[str, str]] = {}
+    names = {n: sp.Symbol(n, real=True) for n in form.units}
+    forces = [sp.sympify(syntax.compute(text, names)) for text in form.force]
+    places = [names[c.name] for c in form.coordinates]
+    rates = dict(zip((names[r] for r in form.rates), places, strict=True))
+    others = (*form.others, *form.definition.inputs)
+    moving = {*places, *rates, *(names[x.name] for x in others)}
+    taken = {sp.expand(sp.sympify(syntax.compute(text, names))) for text in known}
     for parameter in form.definition.parameters:
-        rows = [sp.expand(sp.diff(f, known[parameter.name])) for f in forces]
-        gradients = list(_gradients(rows, places, rates, moving | given | {known[parameter.name]}))
-        if not gradients or len(gradients) != sum(row != 0 for row in rows):
+        factor = names[parameter.name]
+        rows = [sp.expand(sp.diff(f, factor)) for f in forces if f.has(factor)]
+        gradient = _common_gradient(rows, rates, moving | {factor})
+        if len(gradient) < 2:
             continue
-        first, *more = gradients
-        acting = [i for i, g in enumerate(first) if g != 0]
-        if len(acting) < 2 or not all(_is_parallel(first, other) for other in more):
-            continue
-        forms = [sum(sp.simplify(first[i] / first[j]) * places[i] for i in acting) for j in acting]
-        texts = (formula_text(e) for e in forms)
-        text = min(texts, key=lambda t: (t.count("/"), len(t), t))
-        found.setdefault(text, (parameter.name, text))
-    return tuple(found.values())
+        forms = [sp.expand(sum(sp.simplify(g / by) * q for q, g in gradient.items()))
+                 for by in gradient.values()]  # fmt: skip
+        text, deflection = min(
+            ((formula_text(e), e) for e in forms),
+            key=lambda pair: (pair[0].count("/"), len(pair[0]), pair[0]),
+        )
+        if not {deflection, sp.expand(-deflection)} & taken:
+            taken.add(deflection)
+            yield parameter.name, text
 
 
-def same_deflection(form: StandardForm, one: str, other: str) -> bool:
-    """Whether two formulas of coordinates are the same, or each the other's negative."""
-    known = {n: sp.Symbol(n, real=True) for n in form.units}
-    a, b = (sp.sympify(syntax.compute(text, known)) for text in (one, other))
-    return sp.expand(a - b) == 0 or sp.expand(a + b) == 0
+def _common_gradient(
+    rows: list[sp.Expr], rates: dict[sp.Symbol, sp.Symbol], varying: set[sp.Symbol]
+) -> Gradient:
+    """The gradient of which those of all rows are multiples; empty where there is none."""
+    gradients = [_gradient(row, rates, varying) for row in rows if row != 0]
+    if not gradients or not all(_is_parallel(gradients[0], g) for g in gradients):
+        return {}
+    return gradients[0]
 
 
-def _gradients(
-    rows: list[sp.Expr], places: list[sp.Symbol], rates: dict[sp.Symbol, sp.Symbol],
-    varying: set[sp.Symbol],
-) -> Iterator[list[sp.Expr]]:  # fmt: skip
-    """Slopes by the coordinates of rows that are linear in these, or in their rates, alone."""
-    for row in rows:
-        still = row.subs(list(rates.items()))
-        slopes = [sp.expand(sp.diff(still, place)) for place in places]
-        linear = sp.expand(still - sum(s * q for s, q in zip(slopes, places, strict=True))) == 0
-        mixed = row.free_symbols & {*rates} and row.free_symbols & {*places}
-        constant = not any(s.free_symbols & varying for s in slopes)
-        if row != 0 and linear and constant and not mixed:
-            yield slopes
+def _gradient(row: sp.Expr, rates: dict[sp.Symbol, sp.Symbol], varying: set[sp.Symbol]) -> Gradient:
+    """Slopes of a row that is linear in coordinates, or in their rates, alone; else empty."""
+    if row.free_symbols & {*rates} and row.free_symbols & {*rates.values()}:
+        return {}
+    still = row.subs(list(rates.items()))
+    slopes = {q: sp.expand(sp.diff(still, q)) for q in rates.values() if still.has(q)}
+    rest = sp.expand(still - sum(slope * q for q, slope in slopes.items()))
+    constant = not any(slope.free_symbols & varying for slope in slopes.values())
+    return slopes if rest == 0 and constant else {}
 
 
-def _is_parallel(one: list[sp.Expr], other: list[sp.Expr]) -> bool:
+def _is_parallel(one: Gradient, other: Gradient) -> bool:
     """Whether two gradients have one direction."""
-    return all(
-        sp.expand(one[i] * other[j] - one[j] * other[i]) == 0
-        for i in range(len(one)) for j in range(i)
-    )  # fmt: skip
+    return one.keys() == other.keys() and all(
+        sp.expand(one[a] * other[b] - one[b] * other[a]) == 0 for a, b in pairwise(one)
+    )
