@@ -48,12 +48,14 @@ def smoothed_motion(study: CompiledStudy, series: Series, window: int) -> Motion
         states[:, traced.states.index(name)] = smooth[0][:, channel]
         if traced.rate_name(name) in traced.states:
             states[:, traced.states.index(traced.rate_name(name))] = smooth[1][:, channel]
-            acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
+            if traced.acceleration:  # none in a system that gives all rates itself
+                acceleration[:, traced.states.index(name)] = smooth[2][:, channel]
     for name, channel in traced.accelerated.items():
         rate = _integrate_rate(smooth[0][:, channel], series)
         states[:, traced.states.index(traced.rate_name(name))] = rate
         states[:, traced.states.index(name)] = _integrate_rate(rate, series)
-        acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
+        if traced.acceleration:
+            acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
     fill_like_states(traced, states, sample_inputs(series.inputs, series.substeps), smooth[0])
     return Motion(states, acceleration)
 

@@ -19,6 +19,7 @@ from spiral.inference.rounds import (
     strategy_for,
 )
 from spiral.inference.strategies.base import AddedEffects, RefittedModel, Strategy
+from spiral.inference.verdict import interrupted_summary
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
@@ -45,7 +46,8 @@ def discover(
     Parameters
     ----------
     problem : the question.
-    progress : told in words what is being done.
+    progress : told in words what is being done, and after every round what is known by then
+        ("so far: ...").
     on_round : told of every round once its candidates are ranked.
     keep : given a checkpoint before every search; ``resume`` with it goes on from there, to the
         same result.
@@ -91,6 +93,7 @@ def _run_rounds(
                 stopped = step.stopped
                 break
             at = admit_step(strategy, assembly, at, step, progress, time.perf_counter() - clock)
+            progress(f"so far: {interrupted_summary(at.rounds, settings)}")
         except _TimeOverError:
             stopped = "max_seconds"
             tell(at.rounds[-1])

@@ -304,8 +304,13 @@ def units_fit(system: System, effect: Effect) -> bool:
 def _quantities(
     items: Iterable[State | Parameter], of: Callable[[str], str] = str
 ) -> SimpleNamespace:
-    """One of each by its name, in its unit or a unit made ``of`` it."""
-    return SimpleNamespace(**{i.name: _quantity(of(i.unit)) for i in items})
+    """One of each by its name, in its unit or a unit made ``of`` it, no two of one size.
+
+    Where all were of one size, differences of products (L M - N^2) would be zero.
+    """
+    return SimpleNamespace(
+        **{i.name: _quantity(of(i.unit), 1.25 + k / 97) for k, i in enumerate(items)}
+    )
 
 
 def _quantities_at(port: Port, items: Iterable[State | Parameter]) -> SimpleNamespace:

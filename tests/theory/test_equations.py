@@ -258,3 +258,14 @@ def test_a_free_parameter_in_no_equation_is_refused():
     with pytest.raises(SpiralError, match="free: mu, which is in no equation"):
         spiral.system(rows, observed=["x"], **given)
     spiral.system(rows, observed=["x", "pull = mu*k*x"], **given)
+
+
+def test_coupled_coils_pass_their_check():
+    """L l - m^2 divides; parameters of one size would make it zero."""
+    coils = {
+        "equations": ["L*i' + m*e' = v - R*i", "l*e' + m*i' = -r*e"],
+        "states": {"i": "A", "e": "A"}, "inputs": {"v": "V"}, "observed": ["i"],
+        "parameters": {"L": "1e-3 H", "l": "2e-4 H", "m": "1.5e-4 H", "R": "1 ohm", "r": "1 ohm"},
+    }  # fmt: skip
+    system = load_registry(NO_FOLDER).make("system", "equations", {"text": json.dumps(coils)})
+    assert not failed(check_system(system))

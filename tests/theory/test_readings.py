@@ -30,7 +30,9 @@ from spiral.physics.signatures import SystemMotion, port_motion_along, signature
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError, SpiralError
 from spiral.types.model import seed_model
+from spiral.types.parameter import Input, State
 from spiral.types.record import make_record
+from spiral.types.system import System
 from spiral.types.units import factor
 
 TWO = {
@@ -215,6 +217,30 @@ def test_a_coordinate_behind_an_accelerometer_starts_from_its_integrals():
     for i in range(2):
         assert np.corrcoef(moving.states[200:-200, i], states[200:-200, i])[0, 1] > 0.9
     assert np.corrcoef(moving.acceleration[:, 0], states[:, 2])[0, 1] > 0.99
+
+
+class Body(System):
+    """pitch' = pitch_rate, pitch_rate' = command: all rates given, none by a balance of forces."""
+
+    states = (State("pitch", "rad"), State("pitch_rate", "rad/s"))
+    observed = ("pitch",)
+    inputs = (Input("command", "rad/s^2", "zero_order"),)
+    injections = (State("pitch_rate", "rad/s^2"),)
+    parameters = ()
+    ports = ()
+    seed = ()
+
+    def rate(self, x, u, p, injected):
+        return {"pitch": x.pitch_rate, "pitch_rate": u.command + injected["pitch_rate"]}
+
+
+def test_a_state_named_after_the_rate_of_another_needs_no_balance_of_forces():
+    system, time = Body(), 0.01 * np.arange(500)
+    record = make_record(system, "body", time, {"pitch": np.sin(time)}, {"command": -np.sin(time)})
+    study = CompiledStudy(compile_model(trace(system, ())), (prepare_series(system, record, 1),))
+    moving = smoothed_motion(study, study.series[0], 7)
+    np.testing.assert_allclose(moving.states[10:-10, 1], np.cos(time)[10:-10], atol=1e-4)
+    assert moving.acceleration.shape == (500, 0)
 
 
 def shaken(seed, friction=0.0):

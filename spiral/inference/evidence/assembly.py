@@ -18,6 +18,7 @@ import numpy as np
 
 from spiral.engine.series import prepare_series, sample_inputs
 from spiral.engine.study import ORIGIN, CompiledStudy, ParameterColumns, columns_for
+from spiral.inference.evidence.excerpt import Excerpt
 from spiral.inference.evidence.scales import (
     covering_samples,
     is_usable_scale,
@@ -72,7 +73,7 @@ class Assembly:
     ``left_out`` are candidates that these records cannot be asked about, and why; ``kept`` is what
     the strategy keeps with it, of a type of its own. ``expected`` are the states (samples, n)
     along each record that a fit's filter expects, from which candidates have the scales of their
-    shapes.
+    shapes. ``excerpt`` : the whole records, where these are stretches of such.
     """
 
     problem: Problem
@@ -83,6 +84,7 @@ class Assembly:
     offered: tuple[Variant, ...] = ()
     bare: bool = False
     expected: tuple[Array, ...] = ()
+    excerpt: Excerpt | None = None
 
     @property
     def later(self) -> tuple[Effect, ...]:

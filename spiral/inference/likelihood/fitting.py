@@ -129,7 +129,8 @@ def prepare_filter_tasks(
 ) -> FilterInputs:
     """A filter task for every record, with the state's values and integration steps.
 
-    ``like`` : tasks whose scales of the states are taken, so that sizes of the noise mean the same.
+    ``like`` : tasks whose scales of the states are taken, so that sizes of the noise mean the same;
+    left out, those of the whole records for stretches of such.
     """
     model, traced = assembly.problem.model, assembly.study.compiled.traced
     followed = per_record_parameters(assembly, state)
@@ -138,7 +139,11 @@ def prepare_filter_tasks(
     known = tracked_deviations(followed) if state.noise is not None else {}
     begins = state.starts or (None,) * len(rows)
     spreads = state.spreads if state.starts and state.spreads else (None,) * len(rows)
-    others = (None,) * len(rows) if like is None else tuple(task for task, _ in like)
+    others: tuple[FilterInput | None, ...] = (None,) * len(rows)
+    if like is not None:
+        others = tuple(task for task, _ in like)
+    elif assembly.excerpt is not None:
+        others = assembly.excerpt.scales
     tasks = [
         build_task(model, compiled, row.copy(), series.record, start, series=series, like=other)
         for row, start, series, other in zip(

@@ -134,6 +134,24 @@ def reselect_noise_model(
     return again if worth_beside(again.estimate, fit.estimate) > decisive else fit
 
 
+def select_sensor_drift(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit with a sensor that drifts, where misses are not white and that is likelier.
+
+    Stretches of a record are too short to show a drift that is slow enough.
+    """
+    at = fit.estimate
+    if not at.finite or is_white(assembly, fit):
+        return fit
+    task = at.prepared[0][0]
+    terms = (NoiseTerm("drift", c) for c in task.compiled.traced.channels)
+    drifts = [
+        at.noise.with_terms((t,), {t.size: initial_drift_size(task, t.where)})
+        for t in terms if t not in at.noise.terms
+    ]  # fmt: skip
+    best = _best_noise_model(at, drifts)
+    return fit if best is None else continue_fit(assembly, fit, best.noise, rough=True)
+
+
 def _select_force_location(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
     """The fit with a force on one state in place of its group, or a correlated one, if likelier.
 

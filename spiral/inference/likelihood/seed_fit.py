@@ -38,6 +38,7 @@ from spiral.engine.series import MOST_STABLE, MOST_SUBSTEPS
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.comparison import last_stage
 from spiral.inference.evidence.fit_state import FitState, all_samples, stage_lengths
+from spiral.inference.likelihood.excerpts import excerpt_study, whole_state
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     WORTH,
@@ -70,7 +71,18 @@ _QUIET = 1e-3  # level of a random force that does next to nothing
 
 
 def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> LikelihoodFit:
-    """The fit from the most likely of several starts, on sufficiently fine integration steps."""
+    """The fit from the most likely of several starts, on sufficiently fine integration steps.
+
+    Of long records the starts are taken on an excerpt, and the records go on from the likeliest.
+    """
+    if (made := excerpt_study(assembly, state)) is not None:
+        part, begun = made
+        first = best_fit(part, begun, progress)
+        progress("most likely values for the whole records")
+        begun = whole_state(part, first.state)
+        fit = fit_by_likelihood(assembly, begun, first.estimate.noise, rough=True)
+        if fit.estimate.finite:
+            return refit_initial_states(assembly, refit_on_finer_steps(assembly, fit))
     tried: list[LikelihoodFit] = []
     for begin, level in _start_states(assembly, state, progress):
         noise = first_noise(prepare_filter_tasks(assembly, begin)[0][0], level)

@@ -45,7 +45,7 @@ def progress_line() -> Iterator[Tell]:
     with console.status("starting") as status:
 
         def tell(message: str) -> None:
-            if message.startswith("round "):
+            if message.startswith(("round ", "so far: ")):
                 console.print(message, markup=False)
             else:
                 status.update(escape(message))

@@ -31,6 +31,7 @@ from spiral.inference.likelihood.alias_groups import (
 from spiral.inference.likelihood.candidates import Race, Rival, start_race
 from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.departures import drifting_parameters
+from spiral.inference.likelihood.excerpts import search_on_excerpt, whole_state, whole_study
 from spiral.inference.likelihood.fitting import (
     WORTH,
     LikelihoodFit,
@@ -46,7 +47,11 @@ from spiral.inference.likelihood.initial_states import refit_initial_states
 from spiral.inference.likelihood.interpolation import restore_declared_interpolation
 from spiral.inference.likelihood.judging import JudgingFits, fit_on_judging_blocks, judge_winner
 from spiral.inference.likelihood.needless_noise import drop_needless_forces, drop_needless_noise
-from spiral.inference.likelihood.noise_selection import reselect_noise_model, select_noise_model
+from spiral.inference.likelihood.noise_selection import (
+    reselect_noise_model,
+    select_noise_model,
+    select_sensor_drift,
+)
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.likelihood.seed_fit import (
     best_fit,
@@ -133,13 +138,20 @@ class RaceOutcome:
     """The first winner of a race that passed all tests, and why earlier ones were refused.
 
     ``likely`` is the first that is more likely, also on the blocks that did not select, and was
-    refused for what it does alone. ``worths`` of those rejected, on the blocks that select.
+    refused for what it does alone. ``worths`` of those rejected, on the blocks that select;
+    ``refused`` are those of them that were fitted to the whole records.
     """
 
     passed: AcceptedCandidate | None
     rejected: dict[str, str]
     likely: AcceptedCandidate | None = None
     worths: Mapping[str, float] = field(default_factory=dict)
+    refused: tuple[str, ...] = ()
+
+    def refused_on_whole(self) -> RaceOutcome:
+        """What the whole records have refused, whatever it is worth in another race."""
+        reasons = {x: self.rejected[x] for x in self.refused}
+        return RaceOutcome(None, reasons, worths=dict.fromkeys(reasons, np.inf))
 
     def reason_for(self, rival: Rival) -> str:
         """Why a rival was rejected at the same maximum; empty where it was not.
@@ -194,6 +206,7 @@ def first_to_pass(
     rejected = dict(before.rejected)
     worths: dict[str, float] = {}
     likely: AcceptedCandidate | None = None
+    refused = list(before.refused)
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     for rival, rivals in itertools.islice(_meaningful(race, rejected), options.judged):
         worths[rival.label] = rival.worth
@@ -215,10 +228,11 @@ def first_to_pass(
             if freely is not None and objection(freely.whole) is None:
                 passed, refusal = freely, None
         if refusal is None:
-            return RaceOutcome(passed, rejected, likely, worths)
+            return RaceOutcome(passed, rejected, likely, worths, tuple(refused))
         rejected[chosen.label], worths[chosen.label] = refusal.reason, chosen.worth
+        refused.append(chosen.label)
         likely = likely or (passed if refusal.alone else None)
-    return RaceOutcome(None, rejected, likely, worths)
+    return RaceOutcome(None, rejected, likely, worths, tuple(refused))
 
 
 def _meaningful(race: Race, rejected: dict[str, str]) -> Iterator[tuple[Rival, list[Rival]]]:
@@ -313,10 +327,9 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
     Where its misses are white it is taken to its very maximum, since the model may be the last, and
     its integration steps are refined, but where a force above ``settings.random_limit`` acts.
     """
-    fit = select_noise_model(assembly, without_noise_of_steps(assembly, fit, progress), progress)
-    fit = restart_from_given_values(assembly, fit, progress)
-    fit = restart_from_sensor_noise(assembly, fit, progress)
-    fit = restart_vanished_noise(assembly, fit)
+    fit = without_noise_of_steps(assembly, fit, progress)
+    search = functools.partial(_search_noise, progress)
+    fit = search_on_excerpt(assembly, fit, search, select_sensor_drift)
     if not fit.estimate.finite or innovation_whiteness(assembly, fit).p < _LAST:
         return fit
     progress("polishing the fit")
@@ -325,6 +338,14 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
     limit = assembly.problem.settings.random_limit
     lacks = bool(assembly.problem.candidates) and largest_force(fit.estimate.noise) > limit
     return fit if lacks else refine_integration_steps(assembly, fit)  # it is no answer
+
+
+def _search_noise(progress: Progress, assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit with the noise model that its records prefer, restarted where that may lead on."""
+    fit = select_noise_model(assembly, fit, progress)
+    fit = restart_from_given_values(assembly, fit, progress)
+    fit = restart_from_sensor_noise(assembly, fit, progress)
+    return restart_vanished_noise(assembly, fit)
 
 
 def _unconfirmed_reason(
@@ -370,7 +391,8 @@ def fit_with_effect(
     if not is_start_settled(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
-    fit = reselect_noise_model(own, fit, progress)
+    anew = functools.partial(reselect_noise_model, progress=progress)
+    fit = search_on_excerpt(own, fit, anew)
     fit = finish_fit(own, restore_declared_interpolation(own, fit, progress), progress)
     fit, gone = drop_superfluous_effects(own, fit, label)
     fit, needless = replace_by_interpolation(own, fit, progress)
@@ -408,14 +430,21 @@ def _release_told_values(
 
 def fit_with_rival(rival: Rival, progress: Progress) -> WholeRecordFit:
     """The model with a candidate that was raced, fitted to all samples; as ``fit_with_effect``."""
-    own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
-    like = rival.fit.estimate.prepared
+    own, state, like = _study_of_rival(rival)
     return fit_with_effect(own, state, rival.ranked.variant.label, progress, like)
+
+
+def _study_of_rival(rival: Rival) -> tuple[Assembly, FitState, FilterInputs | None]:
+    """The study of the whole records with what a rival has, its state there, and its scales."""
+    own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
+    if own.excerpt is None:
+        return own, state, rival.fit.estimate.prepared
+    return whole_study(own), whole_state(own, state), None
 
 
 def fit_beside_noise(rival: Rival, noise: NoiseModel, progress: Progress) -> WholeRecordFit:
     """The model with a candidate, fitted to all samples beside noise whose terms are known."""
-    own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
+    own, state, _ = _study_of_rival(rival)
     fit = fit_by_likelihood(own, state, noise, rough=True)
     fit = _fit_shapes(own, fit, rival.ranked.variant.label)
     return compare_whole_record_fit(own, continue_fit(own, fit), (), progress)

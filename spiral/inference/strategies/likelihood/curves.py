@@ -93,11 +93,12 @@ def find_missing_curve(
     helps = benefit_objection(options, comparison, assembly.problem.settings)
     assembly = _offer_curves(assembly, base, masks[0])
     alone = _fit_seed_alone(assembly, base.state, masks[0])
-    passing = (
-        None
-        if alone is None
-        else _find_passing_curve(options, assembly, alone, masks, level, helps, progress)
-    )
+    passing = None
+    if alone is not None:
+        ahead = _lead_of_model(base, alone, options.odds)
+        passing = _find_passing_curve(
+            options, assembly, alone, masks, level, helps, progress, ahead
+        )
     if passing is not None and not _is_likelier_alone(passing[0], base, options.odds):
         passing = None
     gone = () if passing is None else _added_labels(assembly, base.state)
@@ -107,7 +108,8 @@ def find_missing_curve(
         if passing is not None or is_random_force_small(base)
         else _restart_from_first_noise(assembly, base, masks[0])
     ):
-        other = _find_passing_curve(options, assembly, start, masks, level, helps, progress)
+        ahead = _lead_of_model(base, start, options.odds)
+        other = _find_passing_curve(options, assembly, start, masks, level, helps, progress, ahead)
         if (
             other is not None
             and _is_likelier_alone(other[0], base, options.odds)
@@ -178,10 +180,12 @@ def _missing_curve(
 def _find_passing_curve(
     options: LikelihoodOptions, assembly: Assembly, start: LikelihoodFit,
     masks: tuple[Masks, Masks], level: float, objection: Objection, progress: Progress,
+    ahead: float = 0.0,
 ) -> tuple[AcceptedCandidate, tuple[Race, Ranking]] | None:  # fmt: skip
     """The curve that comes first beside a model and passes, with its race.
 
-    In place of a change of a parameter a force or a flow that is not told from it.
+    It has to be worth more than ``ahead``, by which the model that it would replace leads. In place
+    of a change of a parameter a force or a flow that is not told from it.
     """
     parts = functools.partial(_coefficient_columns, assembly)
     if not start.estimate.finite:
@@ -190,14 +194,14 @@ def _find_passing_curve(
     if contest is None:
         return None
     passed = first_to_pass(
-        options, assembly, start, contest[0], masks[1], level, objection, progress
+        options, assembly, start, contest[0], masks[1], level, objection, progress, ahead
     ).passed
     if passed is None:
         return None
     plain = tuple(e for e in assembly.problem.dictionary if e.label in passed.aliases)
     if plain and isinstance(passed.rival.ranked.variant.effect, LearnedParameterChange):
         alone = offer_effects(assembly, plain)
-        other = _find_passing_curve(options, alone, start, masks, level, objection, progress)
+        other = _find_passing_curve(options, alone, start, masks, level, objection, progress, ahead)
         if other is not None:  # a spring's stiffness that follows its own length is a force
             return other
     return passed, contest
@@ -227,6 +231,12 @@ def _restart_from_first_noise(
 def _net_log_likelihood(fit: LikelihoodFit) -> float:
     """Log-likelihood less Schwarz's penalty of all that moves."""
     return fit.log_likelihood - schwarz_penalty(len(fit.estimate.keys), fit.estimate.prepared)
+
+
+def _lead_of_model(base: LikelihoodFit, start: LikelihoodFit, odds: float) -> float:
+    """What a curve must be worth beside ``start`` to be likelier than ``base`` by the odds."""
+    lead = _net_log_likelihood(base) - _net_log_likelihood(start) + float(np.log(odds))
+    return max(lead, 0.0)
 
 
 def _is_likelier_alone(passed: AcceptedCandidate, base: LikelihoodFit, odds: float) -> bool:

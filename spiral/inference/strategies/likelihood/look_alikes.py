@@ -30,6 +30,7 @@ from spiral.inference.likelihood.alias_groups import (
     twin_rivals,
 )
 from spiral.inference.likelihood.candidates import Rival, start_race, unscored_candidate
+from spiral.inference.likelihood.excerpts import excerpt_fit
 from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
@@ -124,9 +125,8 @@ def prefer_special_case(
     others = tuple(dict.fromkeys((*declared, *beside)))
     if not others:
         return passed
-    again = _contest_effects(
-        options, whole.assembly, whole.fit, (admitted,), others, progress, declared
-    )
+    study, model = excerpt_fit(whole.assembly, whole.fit) or (whole.assembly, whole.fit)
+    again = _contest_effects(options, study, model, (admitted,), others, progress, declared)
     if again is None:
         return passed
     likelier = again.find_likelier(options, whole.refitted.comparison, progress)

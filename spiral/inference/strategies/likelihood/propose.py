@@ -29,6 +29,7 @@ from spiral.inference.likelihood.candidates import (
     refit_candidate,
     start_race,
 )
+from spiral.inference.likelihood.excerpts import excerpt_study, whole_state
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
@@ -45,6 +46,7 @@ from spiral.inference.nearness import is_near_noise, may_noise_stand_in
 from spiral.inference.problem import Progress, ScoreMessage, Settings, silent
 from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
 from spiral.inference.strategies.likelihood.admission import (
+    NOTHING_TRIED,
     AcceptedCandidate,
     Objection,
     RaceOutcome,
@@ -93,24 +95,89 @@ def propose(
     Or two at once, where none is of use alone.
     """
     bare, assembly = assembly, enlarge(assembly, state.labels)
-    masks = half_masks(assembly)
-    contest = _race_candidates(options, assembly, state, masks[0], progress, _score_message)
+    asked = _Question(options, bare, comparison, number, progress)
+    made = excerpt_study(assembly, state)
+    before = NOTHING_TRIED
+    if made is not None:
+        contest = _contest(asked, *made, before)
+        if contest is not None and (step := _decided_step(asked, assembly, state, contest)):
+            return step
+        before = NOTHING_TRIED if contest is None else contest.outcome.refused_on_whole()
+    contest = _contest(asked, assembly, state, before)
     if contest is None:
         return Step((), {}, stopped="diverged")
-    base, ranked, race = contest
+    if (step := _decided_step(asked, assembly, state, contest)) is not None:
+        return step
+    scored = contest.scored
+    listed = suggestions(scored.rivals, scored.ranking, "", ())
+    ending = _ending(comparison, assembly)
+    step = Step(listed[: options.listed], contest.outcome.rejected, stopped=ending, result=scored)
+    return _step_without_candidate(
+        options, assembly, state, contest.base, step, comparison, contest.masks,
+        asked.level(), number, progress,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What a round asks of any study of its records: of a part of them, or of all."""
+
+    options: LikelihoodOptions
+    bare: Assembly
+    comparison: Comparison
+    number: int
+    progress: Progress
+
+    def level(self) -> float:
+        """The level of one test of this round."""
+        settings = self.bare.problem.settings
+        return round_level(settings.level, self.number) / self.options.judged
+
+    def helps(self) -> Objection:
+        """The objection to what is of no use."""
+        return benefit_objection(self.options, self.comparison, self.bare.problem.settings)
+
+
+@dataclass(frozen=True)
+class _Contest:
+    """Candidates raced and tested in one study.
+
+    ``other`` is the state with another interpolation of inputs that is likelier than them all.
+    """
+
+    base: LikelihoodFit
+    masks: tuple[Masks, Masks]
+    scored: ScoredRound
+    outcome: RaceOutcome = NOTHING_TRIED
+    passed: tuple[AcceptedCandidate, ...] = ()
+    other: FitState | None = None
+
+
+def _contest(
+    asked: _Question, assembly: Assembly, state: FitState, before: RaceOutcome
+) -> _Contest | None:
+    """Race and test the candidates in a study; nothing where its filter diverges."""
+    options, progress = asked.options, asked.progress
+    masks = half_masks(assembly)
+    begun = _race_candidates(options, assembly, state, masks[0], progress, _score_message)
+    if begun is None:
+        return None
+    base, ranked, race = begun
     least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
-        return _propose_with_other_interpolation(options, assembly, other.state, number, progress)
-    level = round_level(assembly.problem.settings.level, number) / options.judged
-    helps = benefit_objection(options, comparison, assembly.problem.settings)
+        there = whole_state(assembly, other.state)
+        return _Contest(base, masks, ScoredRound(ranked, ()), other=there)
+    level, helps = asked.level(), asked.helps()
     race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
     quiet = functools.cache(lambda: rivals_beside_less_noise(assembly, base, masks[0], progress))
-    if may_noise_stand_in(comparison, assembly.problem.settings):
+    if may_noise_stand_in(asked.comparison, assembly.problem.settings):
         race = race.with_more_rivals(quiet())
-    outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
+    outcome = first_to_pass(
+        options, assembly, base, race, masks[1], level, helps, progress, before=before
+    )
     passed, tried = outcome.admitted, race.tried
     if not passed and outcome.likely is not None:
-        passed = _find_second_effect(options, bare, outcome.likely, masks, level, helps, progress)
+        passed = _find_second_effect(asked, outcome.likely, assembly.excerpt is not None)
     if not passed:
         race = race.with_only_rivals(quiet())
         outcome = first_to_pass(
@@ -119,13 +186,21 @@ def propose(
         passed, tried = outcome.admitted, (*tried, *race.tried)
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
-    scored = ScoredRound(ranked, tried)
-    if passed:
-        return _admitting_step(options, assembly, state, passed, scored, outcome)
-    listed, ending = suggestions(tried, ranked, "", ()), _ending(comparison, assembly)
-    step = Step(listed[: options.listed], outcome.rejected, stopped=ending, result=scored)
-    return _step_without_candidate(
-        options, assembly, state, base, step, comparison, masks, level, number, progress
+    return _Contest(base, masks, ScoredRound(ranked, tried), outcome, passed)
+
+
+def _decided_step(
+    asked: _Question, assembly: Assembly, state: FitState, contest: _Contest
+) -> Step[ScoredRound] | None:
+    """The step of a contest that has decided something; nothing where no candidate passed."""
+    if contest.other is not None:
+        return _propose_with_other_interpolation(
+            asked.options, assembly, contest.other, asked.number, asked.progress
+        )
+    if not contest.passed:
+        return None
+    return _admitting_step(
+        asked.options, assembly, state, contest.passed, contest.scored, contest.outcome
     )
 
 
@@ -176,25 +251,31 @@ def _score_message(ranking: Ranking) -> ScoreMessage:
 
 
 def _find_second_effect(
-    options: LikelihoodOptions, assembly: Assembly, first: AcceptedCandidate,
-    masks: tuple[Masks, Masks], level: float, helps: Objection, progress: Progress,
-) -> tuple[AcceptedCandidate, ...]:  # fmt: skip
+    asked: _Question, first: AcceptedCandidate, on_excerpt: bool
+) -> tuple[AcceptedCandidate, ...]:
     """A second candidate that passes together with a likely one that is of no use alone.
 
     A softening spring whose sensor is off by a constant is wrong without either. Together they must
-    do to what is predicted what one alone has to. Nothing where none passes. ``assembly`` is the
-    study that holds no more than its seed: ``first`` may have let go what was admitted before.
+    do to what is predicted what one alone has to. Nothing where none passes. The study begins with
+    no more than its seed: ``first`` may have let go what was admitted before. ``on_excerpt`` : it
+    is looked for on an excerpt, as the first was.
     """
+    options, progress = asked.options, asked.progress
     progress(f"trying a second effect beside {first.rival.label}")
     state = first.whole.refitted.fit_state
-    assembly = enlarge(assembly, state.labels)
+    assembly = enlarge(asked.bare, state.labels)
+    if on_excerpt:
+        assembly, state = excerpt_study(assembly, state) or (assembly, state)
+    masks = half_masks(assembly)
     contest = _race_candidates(options, assembly, state, masks[0], progress)
     if contest is None:
         return ()
     base, _, race = contest
     race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
     race = race.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
-    second = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress).passed
+    second = first_to_pass(
+        options, assembly, base, race, masks[1], asked.level(), asked.helps(), progress
+    ).passed
     if second is None:
         return ()
     refitted = second.whole.refitted

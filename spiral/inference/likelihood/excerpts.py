@@ -1,0 +1,167 @@
+"""Searches on stretches of long records, whose outcome the whole records then judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from spiral.engine.likelihood.predict import predict_readings
+from spiral.engine.series import prepare_series
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.excerpt import Excerpt, Stretch, representative_stretches
+from spiral.inference.evidence.fit_state import FitState
+from spiral.inference.likelihood.fitting import (
+    WARM,
+    LikelihoodFit,
+    fit_by_likelihood,
+    per_record_parameters,
+    prepare_filter_tasks,
+)
+from spiral.inference.likelihood.needless_noise import noise_penalty
+from spiral.types.record import Array, Record
+
+Search = Callable[[Assembly, LikelihoodFit], LikelihoodFit]
+"""A search that takes a fit further, in a study and in its terms."""
+
+
+def excerpt_study(
+    assembly: Assembly, state: FitState, fit: LikelihoodFit | None = None
+) -> tuple[Assembly, FitState] | None:
+    """The study of an excerpt and the state in its terms; nothing where there is none.
+
+    Each stretch begins where the filter of ``fit`` was, the state's fit if it is left out; where
+    nothing is fitted yet, as any record. Parameters of single records (a phase's origin) are not
+    told by stretches of these.
+    """
+    if assembly.excerpt is not None or per_record_parameters(assembly, state):
+        return None
+    stretches = representative_stretches(assembly.study.series)
+    if not stretches:
+        return None
+    if fit is None and state.noise is not None:
+        fit = fit_by_likelihood(assembly, state, steps=0)
+    tasks = prepare_filter_tasks(assembly, state) if fit is None else fit.estimate.prepared
+    records = tuple(_stretch_record(assembly, s) for s in stretches)
+    system, substeps = assembly.problem.model.system, assembly.study.series[0].substeps
+    kept = Excerpt(
+        assembly.problem, assembly.study.series, assembly.expected, stretches,
+        tuple(task for task, _ in tasks), assembly.study.compiled.traced.states,
+        state.starts, state.spreads,
+    )  # fmt: skip
+    part = replace(
+        assembly,
+        problem=replace(assembly.problem, records=records),
+        study=replace(
+            assembly.study, series=tuple(prepare_series(system, r, substeps) for r in records)
+        ),
+        expected=tuple(x[s.first : s.last] for s in stretches for x in _record_of(assembly, s)),
+        excerpt=kept,
+    )
+    rows = [s.record for s in stretches]
+    begun = replace(
+        state, values=state.values[rows], starts=_initial_states(state, fit, stretches),
+        spreads=None,
+    )  # fmt: skip
+    return part, begun
+
+
+def _record_of(assembly: Assembly, stretch: Stretch) -> tuple[Array, ...]:
+    """The expected states of a stretch's record, if there are any."""
+    return assembly.expected[stretch.record : stretch.record + 1]
+
+
+def _stretch_record(assembly: Assembly, stretch: Stretch) -> Record:
+    record = assembly.problem.records[stretch.record]
+    name = f"{record.name}[{stretch.first}:{stretch.last}]"
+    return replace(record.part(stretch.first, stretch.last, name), noise=record.sigma())
+
+
+def _initial_states(
+    state: FitState, fit: LikelihoodFit | None, stretches: tuple[Stretch, ...]
+) -> tuple[Array, ...] | None:
+    """Where the filter of a fit expects all states at the beginning of each stretch."""
+    if fit is None:
+        return None
+    begins = []
+    for stretch in stretches:
+        task, settings = fit.estimate.prepared[stretch.record]
+        run = predict_readings(task, settings, fit.estimate.noise, keep=True)
+        begins.append(run.expected[stretch.first, : len(task.states)])
+    return tuple(begins) if np.all(np.isfinite(begins)) else None
+
+
+def whole_study(assembly: Assembly) -> Assembly:
+    """The study of the whole records, with what that of an excerpt is compiled of."""
+    kept = assembly.excerpt
+    if kept is None:
+        return assembly
+    return replace(
+        assembly, problem=kept.problem, study=replace(assembly.study, series=kept.series),
+        expected=kept.expected, excerpt=None,
+    )  # fmt: skip
+
+
+def whole_state(assembly: Assembly, state: FitState) -> FitState:
+    """A state in terms of an excerpt's study, in those of the whole records."""
+    kept = assembly.excerpt
+    if kept is None:
+        return state
+    rows = [
+        next((k for k, s in enumerate(kept.stretches) if s.record == r), 0)
+        for r in range(len(kept.series))
+    ]
+    names = assembly.study.compiled.traced.states
+    return replace(
+        state, values=state.values[rows],
+        starts=_by_name(kept.starts, kept.states, names, 0.0),
+        spreads=_by_name(kept.spreads, kept.states, names, np.nan),
+    )  # fmt: skip
+
+
+def _by_name(
+    rows: tuple[Array, ...] | None, before: tuple[str, ...], after: tuple[str, ...], other: float
+) -> tuple[Array, ...] | None:
+    """Numbers of states in another order; ``other`` for states that are new."""
+    if rows is None:
+        return None
+    known = [dict(zip(before, row, strict=True)) for row in rows]
+    return tuple(np.array([k.get(name, other) for name in after]) for k in known)
+
+
+def excerpt_fit(assembly: Assembly, fit: LikelihoodFit) -> tuple[Assembly, LikelihoodFit] | None:
+    """The study of an excerpt and a fit's model fitted to it; nothing where there is none."""
+    made = excerpt_study(assembly, fit.state, fit) if fit.estimate.finite else None
+    if made is None:
+        return None
+    part, state = made
+    again = fit_by_likelihood(part, state, fit.estimate.noise, steps=WARM, rough=True)
+    return (part, again) if again.estimate.finite else None
+
+
+def search_on_excerpt(
+    assembly: Assembly, fit: LikelihoodFit, search: Search, slower: Search | None = None
+) -> LikelihoodFit:
+    """What a search finds on an excerpt, fitted to the whole records, if that is likelier there.
+
+    Each number that its noise has more costs Schwarz's penalty. ``slower`` then looks on the whole
+    records for what stretches are too short to show. Records of which there is no excerpt are
+    searched themselves.
+    """
+    made = excerpt_fit(assembly, fit)
+    if made is None:
+        return search(assembly, fit)
+    part, begun = made
+    result = search(part, begun)
+    if result is not begun and result.estimate.finite:
+        state, noise = whole_state(part, result.state), result.estimate.noise
+        again = fit_by_likelihood(assembly, state, noise, rough=True, like=fit.estimate.prepared)
+        fit = again if _is_worth_more(again, fit) else fit
+    return fit if slower is None else slower(assembly, fit)
+
+
+def _is_worth_more(one: LikelihoodFit, other: LikelihoodFit) -> bool:
+    """Whether a fit is likelier than another, its additional noise paid for."""
+    price = noise_penalty(one.estimate.noise, other.estimate.noise, other.estimate.prepared)
+    return one.estimate.finite and one.log_likelihood - price > other.log_likelihood
