@@ -31,7 +31,6 @@ Array = np.ndarray
 _ROBUST, _OUT = 1.4826, 12.0  # median to standard deviation; how many of these stand out
 _AGREE = 4.0  # how many of these the neighbours may be off once one reading is mended
 _MOST = 0.05  # share of spikes beyond which they are the signal itself
-_REPEATS = 0.002  # share of repeated values from which a signal repeats them by itself
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
 _APART = 3  # readings between close spikes, at most
@@ -43,7 +42,7 @@ _FREQUENT = 5.0  # times as often as a usual value an extreme repeats where a se
 _PAIRS = np.array([(i, i + d) for d in range(1, _APART + 1) for i in range(-3, 4 - d)])
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
 _OWN = np.array([1, -4, 6, -4, 1]) / 6  # of the readings in r
-_CHANCE = 0.01  # probability below which spikes near jumps of an input are its doing
+_CHANCE = 0.01  # probability of spikes near jumps of an input, or of runs, below which it is none
 _EXTRAPOLATED = 6.0  # deviation of a cubic's extrapolation over that of r, of white noise
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
@@ -113,7 +112,8 @@ def spoilt_readings(
     runs = _long_run_mask(same)
     clipped = _clipped_mask(values)  # which repeats its extreme, and nothing else
     repeats = same & ~runs & ~clipped[1:]
-    if float(np.mean(repeats)) <= _REPEATS and _is_noise_like(values[1:][~same]):
+    by_chance = len(values) * float(np.mean(repeats)) ** _RUN  # runs where repeats are independent
+    if by_chance < _CHANCE and _is_noise_like(values[1:][~same]):
         held = np.concatenate([[False], runs]) & ~clipped
         spoilt = [s for s in (InvalidReadings("clipped", clipped), InvalidReadings("held", held))
                  if s.where.mean() <= _MOST_STILL]  # fmt: skip

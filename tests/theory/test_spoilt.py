@@ -104,6 +104,16 @@ def test_two_spikes_that_meet_are_found_beside_others_and_pulses_are_left(apart)
     np.testing.assert_array_equal(found, [*meeting, *alone])
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fine_converter_s_few_repeats_do_not_hide_that_it_clips(seed):
+    """Of 1000 readings a handful repeat by chance: runs as long as those at the stop do not."""
+    q = 0.001 * MOTION.std()  # a twentieth of the noise: one reading in 70 repeats at rest
+    values = np.round(np.minimum(noisy(seed), 0.8 * MOTION.max())[:1000] / q) * q
+    most = values.max()
+    assert np.mean(np.diff(values[values < most]) == 0) > 0.002
+    np.testing.assert_array_equal(kinds(values)["clipped"], values == most)
+
+
 def test_runs_of_one_value_are_held_and_extremes_are_clipped():
     values = noisy(0)
     held = np.zeros(N, dtype=bool)
