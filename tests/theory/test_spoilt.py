@@ -104,7 +104,7 @@ def test_two_spikes_that_meet_are_found_beside_others_and_pulses_are_left(apart)
     np.testing.assert_array_equal(found, [*meeting, *alone])
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 2, 4, 5])  # of these more than 2 of 1000 repeat
 def test_a_fine_converter_s_few_repeats_do_not_hide_that_it_clips(seed):
     """Of 1000 readings a handful repeat by chance: runs as long as those at the stop do not."""
     q = 0.001 * MOTION.std()  # a twentieth of the noise: one reading in 70 repeats at rest
