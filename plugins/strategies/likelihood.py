@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from spiral.inference.evidence.assembly import Assembly
     from spiral.inference.evidence.fit_state import FitState
     from spiral.inference.problem import Problem, Progress
-    from spiral.inference.strategies.likelihood.propose import ScoredRound
+    from spiral.inference.strategies.likelihood.race_round import ScoredRound
     from spiral.types.run import Comparison, Suggestion
 
 

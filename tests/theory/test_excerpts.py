@@ -127,6 +127,25 @@ def test_a_drift_too_slow_for_stretches_is_found_on_the_whole_record(long_record
     assert result.estimate.noise.values["drift.x"] == pytest.approx(size, rel=0.25)
 
 
+def long_problem(effects, values, seed):
+    record = record_of(seed, LONG, 0.01, effects, values)
+    test = record_of(seed + 1, 4000, 0.01, effects, values)
+    model = seed_model(Oscillator(), values=TRUTH)
+    offered = tuple(e for e in registry().candidates(model.system) if e.label not in model.labels)
+    return Problem(
+        model, (record,), (test,), candidates=offered,
+        strategy=registry().make("strategy", "likelihood"),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 5])
+def test_nothing_is_missing_from_a_long_record_of_the_model_itself(seed):
+    run = discover(long_problem((), {}, seed))
+    assert run.verdict == "nothing_missing"
+    assert len(run.rounds) == 1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("label", "values"),
@@ -136,17 +155,8 @@ def test_a_drift_too_slow_for_stretches_is_found_on_the_whole_record(long_record
     ],
 )
 def test_an_effect_of_a_long_record_is_named_and_fitted_to_all_of_it(label, values):
-    missing = effect(label)
-    record = record_of(1, LONG, 0.01, (missing,), values)
-    test = record_of(2, 4000, 0.01, (missing,), values)
-    model = seed_model(Oscillator(), values=TRUTH)
-    offered = tuple(e for e in registry().candidates(model.system) if e.label not in model.labels)
-    problem = Problem(
-        model, (record,), (test,), candidates=offered,
-        strategy=registry().make("strategy", "likelihood"),
-    )  # fmt: skip
     told = []
-    run = discover(problem, told.append)
+    run = discover(long_problem((effect(label),), values, 1), told.append)
     assert [r.admitted for r in run.rounds[1:]] == [(label,)]
     assert run.verdict == "effect_missing"
     known = run.model.estimates()[label]

@@ -56,3 +56,8 @@ def _as_suggestion(rival: Rival, hint: tuple[str, ...]) -> Suggestion:
 def _share_of_squares(gain: float, count: float) -> float:
     """Share of the squares that a gain explains: 1 - exp(-2 gain / count)."""
     return -float(np.expm1(np.clip(-2 * gain / count, None, _WORST)))
+
+
+def sort_by_net(listed: Sequence[Suggestion]) -> tuple[Suggestion, ...]:
+    """Suggestions by what each explains net of the price of its numbers, the most first."""
+    return tuple(sorted(listed, key=lambda s: -(s.net or 0.0)))

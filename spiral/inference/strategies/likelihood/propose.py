@@ -7,53 +7,35 @@ no longer wanted let go.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
-import numpy as np
-
-from spiral.engine.statistics import round_level
 from spiral.inference.evidence.admission import is_second_order_remainder, untestable_effect_error
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.enlarge import enlarge
-from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
+from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking
-from spiral.inference.likelihood.alternative_fits import (
-    rivals_beside_less_noise,
-    rivals_from_given_values,
-)
 from spiral.inference.likelihood.candidates import (
-    Race,
-    Rival,
     refit_candidate,
-    start_race,
 )
-from spiral.inference.likelihood.excerpts import excerpt_study, whole_state
+from spiral.inference.likelihood.excerpts import excerpt_study
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
 )
-from spiral.inference.likelihood.interpolation import (
-    likelier_interpolation_fit,
-)
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
-from spiral.inference.likelihood.suggestions import suggestions
-from spiral.inference.nearness import is_near_noise, may_noise_stand_in
-from spiral.inference.problem import Progress, ScoreMessage, Settings, silent
+from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
+from spiral.inference.nearness import is_near_noise
+from spiral.inference.problem import Progress, Settings, silent
 from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
 from spiral.inference.strategies.likelihood.admission import (
-    NOTHING_TRIED,
     AcceptedCandidate,
-    Objection,
     RaceOutcome,
-    benefit_objection,
     compare_likelihood_fit,
     finish_fit,
-    first_to_pass,
     fit_with_effect,
 )
 from spiral.inference.strategies.likelihood.curves import (
@@ -62,28 +44,23 @@ from spiral.inference.strategies.likelihood.curves import (
     find_missing_curve,
 )
 from spiral.inference.strategies.likelihood.laws import find_named_law
-from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case, recheck_admitted
+from spiral.inference.strategies.likelihood.look_alikes import recheck_admitted
 from spiral.inference.strategies.likelihood.memory_rounds import find_missing_memory
 from spiral.inference.strategies.likelihood.other_noise import (
     refit_with_noise_growth,
     refit_with_resonant_force,
     refit_with_smaller_forces,
 )
+from spiral.inference.strategies.likelihood.race_round import (
+    RoundInput,
+    ScoredRound,
+    TestedCandidates,
+    race_and_test,
+    race_and_test_beyond,
+)
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.errors import ConfigError
 from spiral.types.run import Comparison, StopReason, Suggestion
-
-
-@dataclass(frozen=True)
-class ScoredRound:
-    """Candidates of one round: all with their scores, and those that were refitted.
-
-    ``refitted`` is the model with what is admitted, compared, if anything is.
-    """
-
-    ranking: Ranking
-    rivals: tuple[Rival, ...]
-    refitted: RefittedModel | None = None
 
 
 def propose(
@@ -95,15 +72,16 @@ def propose(
     Or two at once, where none is of use alone.
     """
     bare, assembly = assembly, enlarge(assembly, state.labels)
-    asked = _Question(options, bare, comparison, number, progress)
+    asked = RoundInput(options, bare, comparison, number, progress)
     made = excerpt_study(assembly, state)
-    before = NOTHING_TRIED
-    if made is not None:
-        contest = _contest(asked, *made, before)
-        if contest is not None and (step := _decided_step(asked, assembly, state, contest)):
-            return step
-        before = NOTHING_TRIED if contest is None else contest.outcome.refused_on_whole()
-    contest = _contest(asked, assembly, state, before)
+    part = None if made is None else race_and_test(asked, *made)
+    if part is not None and (step := _decided_step(asked, assembly, state, part)) is not None:
+        return step
+    contest = (
+        race_and_test(asked, assembly, state)
+        if part is None
+        else race_and_test_beyond(asked, assembly, state, part)
+    )
     if contest is None:
         return Step((), {}, stopped="diverged")
     if (step := _decided_step(asked, assembly, state, contest)) is not None:
@@ -118,79 +96,8 @@ def propose(
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _Question:
-    """What a round asks of any study of its records: of a part of them, or of all."""
-
-    options: LikelihoodOptions
-    bare: Assembly
-    comparison: Comparison
-    number: int
-    progress: Progress
-
-    def level(self) -> float:
-        """The level of one test of this round."""
-        settings = self.bare.problem.settings
-        return round_level(settings.level, self.number) / self.options.judged
-
-    def helps(self) -> Objection:
-        """The objection to what is of no use."""
-        return benefit_objection(self.options, self.comparison, self.bare.problem.settings)
-
-
-@dataclass(frozen=True)
-class _Contest:
-    """Candidates raced and tested in one study.
-
-    ``other`` is the state with another interpolation of inputs that is likelier than them all.
-    """
-
-    base: LikelihoodFit
-    masks: tuple[Masks, Masks]
-    scored: ScoredRound
-    outcome: RaceOutcome = NOTHING_TRIED
-    passed: tuple[AcceptedCandidate, ...] = ()
-    other: FitState | None = None
-
-
-def _contest(
-    asked: _Question, assembly: Assembly, state: FitState, before: RaceOutcome
-) -> _Contest | None:
-    """Race and test the candidates in a study; nothing where its filter diverges."""
-    options, progress = asked.options, asked.progress
-    masks = half_masks(assembly)
-    begun = _race_candidates(options, assembly, state, masks[0], progress, _score_message)
-    if begun is None:
-        return None
-    base, ranked, race = begun
-    least = race.best - np.log(options.odds)  # what is not told apart is no effect
-    if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
-        there = whole_state(assembly, other.state)
-        return _Contest(base, masks, ScoredRound(ranked, ()), other=there)
-    level, helps = asked.level(), asked.helps()
-    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
-    quiet = functools.cache(lambda: rivals_beside_less_noise(assembly, base, masks[0], progress))
-    if may_noise_stand_in(asked.comparison, assembly.problem.settings):
-        race = race.with_more_rivals(quiet())
-    outcome = first_to_pass(
-        options, assembly, base, race, masks[1], level, helps, progress, before=before
-    )
-    passed, tried = outcome.admitted, race.tried
-    if not passed and outcome.likely is not None:
-        passed = _find_second_effect(asked, outcome.likely, assembly.excerpt is not None)
-    if not passed:
-        race = race.with_only_rivals(quiet())
-        outcome = first_to_pass(
-            options, assembly, base, race, masks[1], level, helps, progress, before=outcome
-        )
-        passed, tried = outcome.admitted, (*tried, *race.tried)
-    if len(passed) == 1:
-        passed = (prefer_special_case(options, passed[0], progress),)
-    return _Contest(base, masks, ScoredRound(ranked, tried), outcome, passed)
-
-
 def _decided_step(
-    asked: _Question, assembly: Assembly, state: FitState, contest: _Contest
+    asked: RoundInput, assembly: Assembly, state: FitState, contest: TestedCandidates
 ) -> Step[ScoredRound] | None:
     """The step of a contest that has decided something; nothing where no candidate passed."""
     if contest.other is not None:
@@ -221,69 +128,6 @@ def _step_without_candidate(
         if other is None:
             return left
     return _propose_after_refit(options, assembly, other, number, progress)
-
-
-def _race_candidates(
-    options: LikelihoodOptions, assembly: Assembly, state: FitState, select: Masks,
-    progress: Progress, scored: Callable[[Ranking], str] | None = None,
-) -> tuple[LikelihoodFit, Ranking, Race] | None:  # fmt: skip
-    """The model as it is on the blocks that select, candidates by their score, and their race.
-
-    ``scored`` : the message about the scores, where they are of interest by themselves.
-    """
-    progress("scoring candidates by one-step predictions")
-    base = fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
-    ranked = rank_candidates(assembly, base, base.estimate.noise, select)
-    if ranked is None:
-        return None
-    if scored is not None:
-        progress(scored(ranked))
-    return (
-        base,
-        ranked,
-        start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals),
-    )
-
-
-def _score_message(ranking: Ranking) -> ScoreMessage:
-    listed = _sort_by_net(suggestions((), ranking, "", ()))
-    return ScoreMessage(f"refitting the best of {len(listed)} candidates", listed)
-
-
-def _find_second_effect(
-    asked: _Question, first: AcceptedCandidate, on_excerpt: bool
-) -> tuple[AcceptedCandidate, ...]:
-    """A second candidate that passes together with a likely one that is of no use alone.
-
-    A softening spring whose sensor is off by a constant is wrong without either. Together they must
-    do to what is predicted what one alone has to. Nothing where none passes. The study begins with
-    no more than its seed: ``first`` may have let go what was admitted before. ``on_excerpt`` : it
-    is looked for on an excerpt, as the first was.
-    """
-    options, progress = asked.options, asked.progress
-    progress(f"trying a second effect beside {first.rival.label}")
-    state = first.whole.refitted.fit_state
-    assembly = enlarge(asked.bare, state.labels)
-    if on_excerpt:
-        assembly, state = excerpt_study(assembly, state) or (assembly, state)
-    masks = half_masks(assembly)
-    contest = _race_candidates(options, assembly, state, masks[0], progress)
-    if contest is None:
-        return ()
-    base, _, race = contest
-    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
-    race = race.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
-    second = first_to_pass(
-        options, assembly, base, race, masks[1], asked.level(), asked.helps(), progress
-    ).passed
-    if second is None:
-        return ()
-    refitted = second.whole.refitted
-    if first.rival.label in refitted.retired:
-        gone = tuple(x for x in refitted.retired if x != first.rival.label)
-        whole = replace(second.whole, refitted=replace(refitted, retired=gone))
-        return (replace(second, whole=whole),)
-    return first, second
 
 
 def _admitting_step(
@@ -400,11 +244,7 @@ def suggestions_by_worth(step: Step[ScoredRound]) -> tuple[Suggestion, ...]:
     scored = step.result
     label = next(iter(step.admitted), "")
     listed = suggestions(scored.rivals, scored.ranking, label, step.aliases.get(label, ()))
-    return _sort_by_net(listed)
-
-
-def _sort_by_net(listed: Sequence[Suggestion]) -> tuple[Suggestion, ...]:
-    return tuple(sorted(listed, key=lambda s: -(s.net or 0.0)))
+    return sort_by_net(listed)
 
 
 def choose(

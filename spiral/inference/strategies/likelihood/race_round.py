@@ -1,0 +1,216 @@
+"""Candidates of a round raced and tested in one study: of the whole records, or of an excerpt."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spiral.engine.statistics import round_level
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.enlarge import enlarge
+from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
+from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.likelihood.alternative_fits import (
+    rivals_beside_less_noise,
+    rivals_from_given_values,
+)
+from spiral.inference.likelihood.candidates import Race, Rival, start_race
+from spiral.inference.likelihood.excerpts import excerpt_study, whole_state
+from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, fit_by_likelihood
+from spiral.inference.likelihood.interpolation import likelier_interpolation_fit
+from spiral.inference.likelihood.scores import rank_candidates
+from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
+from spiral.inference.nearness import may_noise_stand_in
+from spiral.inference.problem import Progress, ScoreMessage
+from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.likelihood.admission import (
+    NOTHING_TRIED,
+    AcceptedCandidate,
+    Objection,
+    RaceOutcome,
+    benefit_objection,
+    first_to_pass,
+)
+from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case
+from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.run import Comparison
+
+
+@dataclass(frozen=True)
+class ScoredRound:
+    """Candidates of one round: all with their scores, and those that were refitted.
+
+    ``refitted`` is the model with what is admitted, compared, if anything is.
+    """
+
+    ranking: Ranking
+    rivals: tuple[Rival, ...]
+    refitted: RefittedModel | None = None
+
+
+@dataclass(frozen=True)
+class RoundInput:
+    """What a round asks of any study of its records: of a part of them, or of all."""
+
+    options: LikelihoodOptions
+    bare: Assembly
+    comparison: Comparison
+    number: int
+    progress: Progress
+
+    def level(self) -> float:
+        """The level of one test of this round."""
+        settings = self.bare.problem.settings
+        return round_level(settings.level, self.number) / self.options.judged
+
+    def helps(self) -> Objection:
+        """The objection to what is of no use."""
+        return benefit_objection(self.options, self.comparison, self.bare.problem.settings)
+
+
+@dataclass(frozen=True)
+class TestedCandidates:
+    """Candidates raced and tested in one study.
+
+    ``other`` is the state with another interpolation of inputs that is likelier than them all.
+    """
+
+    base: LikelihoodFit
+    masks: tuple[Masks, Masks]
+    scored: ScoredRound
+    outcome: RaceOutcome = NOTHING_TRIED
+    passed: tuple[AcceptedCandidate, ...] = ()
+    other: FitState | None = None
+
+
+def race_and_test_beyond(
+    asked: RoundInput, assembly: Assembly, state: FitState, part: TestedCandidates
+) -> TestedCandidates | None:
+    """Race and test on the whole records what an excerpt of them may not have shown.
+
+    These are candidates whose score on the whole is that of a change of every reading by
+    ``settings.smallest`` of its noise: one that acts all along with less is too small to count, and
+    would have been as much on the excerpt. What the whole records have refused is not asked again.
+    """
+    masks, settings = half_masks(assembly), assembly.problem.settings
+    base = fit_by_likelihood(assembly, state, masks=masks[0], steps=WARM, rough=True)
+    ranked = rank_candidates(assembly, base, base.estimate.noise, masks[0])
+    if ranked is None:
+        return None
+    readings = sum(
+        (s.samples if m is None else int(m.sum())) * s.y.shape[1]
+        for s, m in zip(assembly.study.series, masks[0], strict=True)
+    )
+    least = settings.smallest**2 * readings
+    promising = [r for r in ranked.ranked if r.score.gain >= least]
+    if not promising:
+        return replace(part, base=base, masks=masks)
+    race = start_race(assembly, base, promising, masks[0], asked.progress, asked.options.rivals)
+    outcome = first_to_pass(
+        asked.options, assembly, base, race, masks[1], asked.level(), asked.helps(),
+        asked.progress, before=part.outcome.refused_on_whole(),
+    )  # fmt: skip
+    passed = outcome.admitted
+    if len(passed) == 1:
+        passed = (prefer_special_case(asked.options, passed[0], asked.progress),)
+    return TestedCandidates(base, masks, ScoredRound(ranked, race.tried), outcome, passed)
+
+
+def race_and_test(
+    asked: RoundInput, assembly: Assembly, state: FitState
+) -> TestedCandidates | None:
+    """Race and test the candidates in a study; nothing where its filter diverges."""
+    options, progress = asked.options, asked.progress
+    masks = half_masks(assembly)
+    begun = _race_candidates(options, assembly, state, masks[0], progress, _score_message)
+    if begun is None:
+        return None
+    base, ranked, race = begun
+    least = race.best - np.log(options.odds)  # what is not told apart is no effect
+    if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
+        there = whole_state(assembly, other.state)
+        return TestedCandidates(base, masks, ScoredRound(ranked, ()), other=there)
+    level, helps = asked.level(), asked.helps()
+    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
+    quiet = functools.cache(lambda: rivals_beside_less_noise(assembly, base, masks[0], progress))
+    if may_noise_stand_in(asked.comparison, assembly.problem.settings):
+        race = race.with_more_rivals(quiet())
+    outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
+    passed, tried = outcome.admitted, race.tried
+    if not passed and outcome.likely is not None:
+        passed = _find_second_effect(asked, outcome.likely, assembly.excerpt is not None)
+    if not passed:
+        race = race.with_only_rivals(quiet())
+        outcome = first_to_pass(
+            options, assembly, base, race, masks[1], level, helps, progress, before=outcome
+        )
+        passed, tried = outcome.admitted, (*tried, *race.tried)
+    if len(passed) == 1:
+        passed = (prefer_special_case(options, passed[0], progress),)
+    return TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, passed)
+
+
+def _race_candidates(
+    options: LikelihoodOptions, assembly: Assembly, state: FitState, select: Masks,
+    progress: Progress, scored: Callable[[Ranking], str] | None = None,
+) -> tuple[LikelihoodFit, Ranking, Race] | None:  # fmt: skip
+    """The model as it is on the blocks that select, candidates by their score, and their race.
+
+    ``scored`` : the message about the scores, where they are of interest by themselves.
+    """
+    progress("scoring candidates by one-step predictions")
+    base = fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
+    ranked = rank_candidates(assembly, base, base.estimate.noise, select)
+    if ranked is None:
+        return None
+    if scored is not None:
+        progress(scored(ranked))
+    return (
+        base,
+        ranked,
+        start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals),
+    )
+
+
+def _score_message(ranking: Ranking) -> ScoreMessage:
+    listed = sort_by_net(suggestions((), ranking, "", ()))
+    return ScoreMessage(f"refitting the best of {len(listed)} candidates", listed)
+
+
+def _find_second_effect(
+    asked: RoundInput, first: AcceptedCandidate, on_excerpt: bool
+) -> tuple[AcceptedCandidate, ...]:
+    """A second candidate that passes together with a likely one that is of no use alone.
+
+    A softening spring whose sensor is off by a constant is wrong without either. Together they must
+    do to what is predicted what one alone has to. Nothing where none passes. The study begins with
+    no more than its seed: ``first`` may have let go what was admitted before. ``on_excerpt`` : it
+    is looked for on an excerpt, as the first was.
+    """
+    options, progress = asked.options, asked.progress
+    progress(f"trying a second effect beside {first.rival.label}")
+    state = first.whole.refitted.fit_state
+    assembly = enlarge(asked.bare, state.labels)
+    if on_excerpt:
+        assembly, state = excerpt_study(assembly, state) or (assembly, state)
+    masks = half_masks(assembly)
+    contest = _race_candidates(options, assembly, state, masks[0], progress)
+    if contest is None:
+        return ()
+    base, _, race = contest
+    race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
+    race = race.with_more_rivals(rivals_beside_less_noise(assembly, base, masks[0], progress))
+    second = first_to_pass(
+        options, assembly, base, race, masks[1], asked.level(), asked.helps(), progress
+    ).passed
+    if second is None:
+        return ()
+    refitted = second.whole.refitted
+    if first.rival.label in refitted.retired:
+        gone = tuple(x for x in refitted.retired if x != first.rival.label)
+        whole = replace(second.whole, refitted=replace(refitted, retired=gone))
+        return (replace(second, whole=whole),)
+    return first, second
