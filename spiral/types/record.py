@@ -97,6 +97,10 @@ class Record:
             spoilt={k: tuple(s.part(cut) for s in v) for k, v in self.spoilt.items()},
         )
 
+    def stretch(self, start: int, stop: int, name: str = "") -> Record:
+        """Samples [start, stop), with the noise that the whole record has."""
+        return replace(self.part(start, stop, name or self.name), noise=self.sigma())
+
     def between(self, known: Input) -> Interpolation:
         """Interpolation of an input: the record's, else the system's default."""
         return self.hold.get(known.name, known.interpolation)

@@ -125,18 +125,18 @@ def transfer_fit_state(fit_state: FitState, old: Assembly, new: Assembly) -> Fit
         if key in new.study.keys:
             values[:, new.study.index(key)] = fit_state.values[:, i]
     values[:, len(new.study.keys) :] = fit_state.values[:, tail:]
-    starts = _reorder_states(fit_state.starts, old, new, 0.0)
-    spreads = _reorder_states(fit_state.spreads, old, new, np.nan)
+    before, after = (x.study.compiled.traced.states for x in (old, new))
+    starts = reorder_states(fit_state.starts, before, after, 0.0)
+    spreads = reorder_states(fit_state.spreads, before, after, np.nan)
     return replace(fit_state, values=values, starts=starts, spreads=spreads)
 
 
-def _reorder_states(
-    rows: tuple[Array, ...] | None, old: Assembly, new: Assembly, other: float
+def reorder_states(
+    rows: tuple[Array, ...] | None, before: tuple[str, ...], after: tuple[str, ...], other: float
 ) -> tuple[Array, ...] | None:
     """Numbers of the states in another study's order; ``other`` for those that are new."""
     if rows is None:
         return None
-    before, after = old.study.compiled.traced.states, new.study.compiled.traced.states
     places = [(i, before.index(n)) for i, n in enumerate(after) if n in before]
     reordered = tuple(np.full(len(after), other) for _ in rows)
     for mine, theirs in zip(reordered, rows, strict=True):

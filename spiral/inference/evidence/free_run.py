@@ -154,8 +154,7 @@ def settled_free_run(
     else:
         settled = tuple(min(round(settle / s.dt), s.samples // 2) for s in study.series)
         parts = tuple(
-            replace(s.record.part(0, max(n, 16), s.record.name), noise=s.record.sigma())
-            for s, n in zip(study.series, settled, strict=True)
+            s.record.stretch(0, max(n, 16)) for s, n in zip(study.series, settled, strict=True)
         )
         heads = with_records(assembly, parts, study.series[0].substeps)
     rows = np.repeat(values[:1], len(study.series), axis=0)

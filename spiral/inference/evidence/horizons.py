@@ -129,8 +129,7 @@ def process_noise(
     tracked = tuple(k for k in nuisance_keys(fitted, labels) if k in known)
     r, start, stop = liveliest_stretch(fitted.study.series)
     series = fitted.study.series[r]
-    record = series.record.part(start, stop, series.record.name)
-    record = replace(record, noise=series.record.sigma())
+    record = series.record.stretch(start, stop)
     task = filter_task(fitted, model, values[r], record, series.substeps)
     task, settings = prepare_filter(task, tracked, tracked_deviations(tracked))
     levels = choose_levels(task, settings, None)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from spiral.engine.likelihood.predict import predict_readings
-from spiral.engine.series import prepare_series
-from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.assembly import Assembly, with_records
+from spiral.inference.evidence.enlarge import reorder_states
 from spiral.inference.evidence.excerpt import Excerpt, Stretch, representative_stretches
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.fitting import (
@@ -20,7 +20,7 @@ from spiral.inference.likelihood.fitting import (
     prepare_filter_tasks,
 )
 from spiral.inference.likelihood.needless_noise import noise_penalty
-from spiral.types.record import Array, Record
+from spiral.types.record import Array
 
 Search = Callable[[Assembly, LikelihoodFit], LikelihoodFit]
 """A search that takes a fit further, in a study and in its terms."""
@@ -43,53 +43,44 @@ def excerpt_study(
     if fit is None and state.noise is not None:
         fit = fit_by_likelihood(assembly, state, steps=0)
     tasks = prepare_filter_tasks(assembly, state) if fit is None else fit.estimate.prepared
-    records = tuple(_stretch_record(assembly, s) for s in stretches)
-    system, substeps = assembly.problem.model.system, assembly.study.series[0].substeps
+    whole = assembly.problem.records
+    records = tuple(
+        whole[r].stretch(first, last, f"{whole[r].name}[{first}:{last}]")
+        for r, first, last in stretches
+    )
     kept = Excerpt(
         assembly.problem, assembly.study.series, assembly.expected, stretches,
         tuple(task for task, _ in tasks), assembly.study.compiled.traced.states,
         state.starts, state.spreads,
     )  # fmt: skip
     part = replace(
-        assembly,
+        with_records(assembly, records, assembly.study.series[0].substeps),
         problem=replace(assembly.problem, records=records),
-        study=replace(
-            assembly.study, series=tuple(prepare_series(system, r, substeps) for r in records)
-        ),
-        expected=tuple(x[s.first : s.last] for s in stretches for x in _record_of(assembly, s)),
+        expected=tuple(assembly.expected[r][first:last] for r, first, last in stretches)
+        if assembly.expected else (),
         excerpt=kept,
-    )
+    )  # fmt: skip
     rows = [s.record for s in stretches]
     begun = replace(
-        state, values=state.values[rows], starts=_initial_states(state, fit, stretches),
+        state, values=state.values[rows], starts=_initial_states(fit, stretches),
         spreads=None,
     )  # fmt: skip
     return part, begun
 
 
-def _record_of(assembly: Assembly, stretch: Stretch) -> tuple[Array, ...]:
-    """The expected states of a stretch's record, if there are any."""
-    return assembly.expected[stretch.record : stretch.record + 1]
-
-
-def _stretch_record(assembly: Assembly, stretch: Stretch) -> Record:
-    record = assembly.problem.records[stretch.record]
-    name = f"{record.name}[{stretch.first}:{stretch.last}]"
-    return replace(record.part(stretch.first, stretch.last, name), noise=record.sigma())
-
-
 def _initial_states(
-    state: FitState, fit: LikelihoodFit | None, stretches: tuple[Stretch, ...]
+    fit: LikelihoodFit | None, stretches: tuple[Stretch, ...]
 ) -> tuple[Array, ...] | None:
     """Where the filter of a fit expects all states at the beginning of each stretch."""
     if fit is None:
         return None
-    begins = []
-    for stretch in stretches:
-        task, settings = fit.estimate.prepared[stretch.record]
+    expected = {}
+    for r in {s.record for s in stretches}:
+        task, settings = fit.estimate.prepared[r]
         run = predict_readings(task, settings, fit.estimate.noise, keep=True)
-        begins.append(run.expected[stretch.first, : len(task.states)])
-    return tuple(begins) if np.all(np.isfinite(begins)) else None
+        expected[r] = run.expected[:, : len(task.states)]
+    begins = tuple(expected[s.record][s.first] for s in stretches)
+    return begins if np.all(np.isfinite(begins)) else None
 
 
 def whole_study(assembly: Assembly) -> Assembly:
@@ -115,19 +106,9 @@ def whole_state(assembly: Assembly, state: FitState) -> FitState:
     names = assembly.study.compiled.traced.states
     return replace(
         state, values=state.values[rows],
-        starts=_by_name(kept.starts, kept.states, names, 0.0),
-        spreads=_by_name(kept.spreads, kept.states, names, np.nan),
+        starts=reorder_states(kept.starts, kept.states, names, 0.0),
+        spreads=reorder_states(kept.spreads, kept.states, names, np.nan),
     )  # fmt: skip
-
-
-def _by_name(
-    rows: tuple[Array, ...] | None, before: tuple[str, ...], after: tuple[str, ...], other: float
-) -> tuple[Array, ...] | None:
-    """Numbers of states in another order; ``other`` for states that are new."""
-    if rows is None:
-        return None
-    known = [dict(zip(before, row, strict=True)) for row in rows]
-    return tuple(np.array([k.get(name, other) for name in after]) for k in known)
 
 
 def excerpt_fit(assembly: Assembly, fit: LikelihoodFit) -> tuple[Assembly, LikelihoodFit] | None:

@@ -47,10 +47,7 @@ def free_runs(
     )
     heads = assembly
     if settle is not None:
-        parts = tuple(
-            replace(s.record.part(0, n, s.record.name), noise=s.record.sigma())
-            for s, n in zip(series, settled, strict=True)
-        )
+        parts = tuple(s.record.stretch(0, n) for s, n in zip(series, settled, strict=True))
         heads = with_records(assembly, parts, series[0].substeps)
     rows = state.values if settle is None else np.repeat(state.values[:1], len(series), axis=0)
     starts, values = [], rows.copy()

@@ -373,10 +373,7 @@ def _liveliest_part(at: MaximumLikelihood) -> FilterInputs:
     task, settings = at.prepared[r]
     if start == 0 and stop == task.series.samples:
         return (at.prepared[r],)
-    record = replace(
-        task.series.record.part(start, stop, task.series.record.name),
-        noise=task.series.record.sigma(),
-    )
+    record = task.series.record.stretch(start, stop)
     short = build_task(
         task.model, task.compiled, task.values.copy(), record, substeps=task.series.substeps
     )

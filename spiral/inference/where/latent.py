@@ -106,7 +106,7 @@ def missing_force(
     start = min(first, max(record.samples - MOST, 0))
     stop = min(start + MOST, record.samples)
     if (start, stop) != (0, record.samples):
-        record = replace(record.part(start, stop, record.name), noise=record.sigma())
+        record = record.stretch(start, stop)
         if inputs is not None and substeps is not None:
             inputs = inputs[3 * substeps * start : 3 * substeps * (stop - 1) + 1]
     wide = model if LatentForce().label in model.labels else add_latent_force(model)

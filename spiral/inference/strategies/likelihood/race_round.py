@@ -96,10 +96,10 @@ def race_and_test_beyond(
     would have been as much on the excerpt. What the whole records have refused is not asked again.
     """
     masks, settings = half_masks(assembly), assembly.problem.settings
-    base = fit_by_likelihood(assembly, state, masks=masks[0], steps=WARM, rough=True)
-    ranked = rank_candidates(assembly, base, base.estimate.noise, masks[0])
-    if ranked is None:
+    scored = _score_candidates(assembly, state, masks[0])
+    if scored is None:
         return None
+    base, ranked = scored
     readings = sum(
         (s.samples if m is None else int(m.sum())) * s.y.shape[1]
         for s, m in zip(assembly.study.series, masks[0], strict=True)
@@ -153,6 +153,15 @@ def race_and_test(
     return TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, passed)
 
 
+def _score_candidates(
+    assembly: Assembly, state: FitState, select: Masks
+) -> tuple[LikelihoodFit, Ranking] | None:
+    """The model as it is on the blocks that select, and candidates by their score beside it."""
+    base = fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
+    ranked = rank_candidates(assembly, base, base.estimate.noise, select)
+    return None if ranked is None else (base, ranked)
+
+
 def _race_candidates(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, select: Masks,
     progress: Progress, scored: Callable[[Ranking], str] | None = None,
@@ -162,10 +171,10 @@ def _race_candidates(
     ``scored`` : the message about the scores, where they are of interest by themselves.
     """
     progress("scoring candidates by one-step predictions")
-    base = fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
-    ranked = rank_candidates(assembly, base, base.estimate.noise, select)
-    if ranked is None:
+    begun = _score_candidates(assembly, state, select)
+    if begun is None:
         return None
+    base, ranked = begun
     if scored is not None:
         progress(scored(ranked))
     return (
