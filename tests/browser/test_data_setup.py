@@ -75,6 +75,7 @@ def mark(tab, what, use):
                           "?._fullLayout?.meta === use", arg=use)  # fmt: skip
 
 
+@pytest.mark.slow
 def test_stretches_are_marked_with_the_mouse_or_typed(tab, served, files, picture):
     begun(tab, served, files / "run1.csv", "oscillator")
     assert "The last part is kept apart" in tab.inner_text("#apart")
@@ -195,6 +196,7 @@ observed: [x]
     picture(tab, "equations-study")
 
 
+@pytest.mark.slow
 def test_the_model_is_drawn_before_it_is_fitted_and_as_it_has_become(tab, served, files, picture):
     begun(tab, served, files / "run1.csv", "oscillator")
     tab.wait_for_selector("svg.sketch")
@@ -215,6 +217,7 @@ def test_the_model_is_drawn_before_it_is_fitted_and_as_it_has_become(tab, served
     assert faults(tab, ".sketched") == []
 
 
+@pytest.mark.slow
 def test_a_sign_that_a_passive_machine_does_not_have_is_told_beside_the_value(
     tab, served, files, picture
 ):
@@ -286,6 +289,7 @@ def test_nothing_moves_while_a_record_is_read_anew(tab, served, gapped, picture)
     tab.wait_for_selector(".working", state="detached")
 
 
+@pytest.mark.slow
 def test_a_record_without_an_input_needs_a_mouse_alone(tab, served, files, picture):
     """A free swing: nothing drives it, and but for a rate nothing is typed."""
     upload(tab, served, files / "swing.csv", "pendulum")

@@ -159,6 +159,7 @@ def test_what_is_wrong_with_a_file_is_in_view(tab, served, files):
     )
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_is_tested_at_once(tab, served, picture):
     """On the study of the test before: the formula is found equal to the effect that it writes."""
     tab.goto(served.address)
@@ -186,6 +187,7 @@ def test_an_effect_of_ones_own_is_tested_at_once(tab, served, picture):
     tab.wait_for_selector(".chip.added:has-text('hardening')")
 
 
+@pytest.mark.slow
 def test_aliases_are_compared_side_by_side(tab, served, picture):
     """On the same study, from its seed: the effect and the formula that is equal to it."""
     tab.goto(served.address)

@@ -177,6 +177,7 @@ def test_a_process_that_dies_costs_one_step(tab, study, served):
     ready(tab, SECOND)
 
 
+@pytest.mark.slow
 def test_two_tabs_on_one_study_show_the_same(tab, chromium, served, study):
     """Undo in one tab moves the other, without a reload."""
     other = served.enter(chromium.new_page())
@@ -286,6 +287,7 @@ def test_why_an_effect_is_proposed_is_drawn_and_any_other_can_be_tried(tab, stud
     picture(tab, "why")
 
 
+@pytest.mark.slow
 def test_a_link_opens_the_same_view_of_steps_side_by_side(tab, chromium, served, study, picture):
     """Two steps compared, a stretch zoomed: another tab that opens the address shows the same."""
     tab.goto(study["address"])

@@ -26,6 +26,7 @@ def run_json(capsys, *words):
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_a_sweep_on_dask_equals_the_serial_one(capsys, tmp_path, monkeypatch, cluster):
     """Also relative files: a worker in another folder sees those of the one who asked."""
     monkeypatch.chdir(tmp_path)

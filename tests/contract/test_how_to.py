@@ -24,7 +24,9 @@ def without_curves():
     """Pages are run as a reader runs them, MLflow apart (test_tracking.py)."""
 
 
-@pytest.mark.parametrize("page", ["own-effect.md", "own-system.md", "../../README.md"])
+@pytest.mark.parametrize("page", [
+    pytest.param("own-effect.md", marks=pytest.mark.slow), "own-system.md", "../../README.md",
+])  # fmt: skip
 def test_every_block_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = Path(sys.executable).parent
@@ -80,6 +82,7 @@ def _followed(page):
     return names
 
 
+@pytest.mark.slow
 def test_the_page_about_a_model_of_ones_own_runs(tmp_path, monkeypatch):
     """A right-hand side and a CSV, then the same model as a file: the hidden spring is named."""
     monkeypatch.chdir(tmp_path)
@@ -94,6 +97,7 @@ def test_the_page_about_a_model_of_ones_own_runs(tmp_path, monkeypatch):
     assert abs(stiffness["estimate"] - 4e5) < 4 * stiffness["se"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc here")
 def test_the_page_about_fmus_runs(tmp_path, monkeypatch):
     """An FMU is made, measured and opened: the hidden spring is named, from Python and as typed."""

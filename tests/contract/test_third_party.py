@@ -73,6 +73,7 @@ def test_it_is_in_the_help_of_its_group(installed, tmp_path):
         assert seen in done.stdout
 
 
+@pytest.mark.slow
 def test_it_is_fitted_and_swept(spiral):
     words = ("compare", *RECORD, "record.seed=1,2", f"effect=[{EFFECT}],[]")
     code, result = spiral(*words, "-m", "n_jobs=2", "strategy=shooting", "tracking.enabled=false")

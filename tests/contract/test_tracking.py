@@ -321,6 +321,7 @@ def test_figures_of_a_filter_are_metrics_beside_the_static_map(tmp_path, monkeyp
     assert run.data.metrics["nis_mean"] == found["nis_mean"]
 
 
+@pytest.mark.slow
 def test_a_sweep_is_tracked_by_the_parent_alone_and_failed_jobs_with_it(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["compare", *RECORD]

@@ -52,7 +52,8 @@ def test_a_notebook_runs(name):
 
 # The rotor has 14 000 samples and every candidate of the catalog: some 45 s of one core.
 @pytest.mark.parametrize(("name", "whole", "part"), [
-    ("own_file", "duration=12.0", "duration=3.0"), ("own_system", "duration=8.0", "duration=3.0"),
+    pytest.param("own_file", "duration=12.0", "duration=3.0", marks=pytest.mark.slow),
+    ("own_system", "duration=8.0", "duration=3.0"),
 ])  # fmt: skip
 def test_a_notebook_runs_on_a_shorter_record(name, whole, part, tmp_path):
     text = (DOCS / "notebooks" / f"{name}.py").read_text(encoding="utf-8")

@@ -74,6 +74,7 @@ def test_an_amplitude_gives_the_share_it_was_found_for():
     assert not any(h.identifiable(0.005) for h in gain)
 
 
+@pytest.mark.slow
 def test_the_benchmark_in_its_fast_mode(tmp_path, capsys):
     """Three effects at medium strength, one seed each, and as many null records; taken up again."""
     words = ["--systems", "oscillator", "--only", "cubic_stiffness", "offset", "gain",

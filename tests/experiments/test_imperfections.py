@@ -105,6 +105,7 @@ def test_every_row_gives_a_record_with_its_noise(row):
     assert bool(record.noise) == (ROWS[row].declared is not None)
 
 
+@pytest.mark.slow
 def test_both_machines_are_asked_every_row_twice():
     assert len(cases()) == 2 * len(ROWS) >= 54
     asked = question("rotor", "input_noise_1", 0)

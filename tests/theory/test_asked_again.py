@@ -97,6 +97,7 @@ def test_a_special_case_that_explains_as_much_takes_the_place():
     assert np.isclose(found.estimate, 0.8, atol=3 * found.se)
 
 
+@pytest.mark.slow
 def test_one_effect_takes_the_place_of_two_that_do_the_same_with_more_numbers():
     """-k (x^3 + d x^2) with a known d, and its two parts admitted by hand one after the other."""
     bent = effect_from_expression("bent", "-k*(x**3 + d*x**2)", Oscillator(), shape={"d": 1e-3})

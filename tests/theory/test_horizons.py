@@ -26,6 +26,7 @@ from spiral.inference.simulate import simulate
 from spiral.types.horizon import Horizon, changes
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
+from tests.marks import others_slow
 
 TRUTH = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 0.8}
 RATE, NOISE = 200.0, 0.05
@@ -215,7 +216,7 @@ def test_what_the_head_of_a_record_tells_makes_a_free_run_surer(free):
     assert after.max() < 0.3 * before.max()
 
 
-@pytest.mark.parametrize("drag", [0.0, 0.25])
+@pytest.mark.parametrize("drag", others_slow([0.0, 0.25], 1))
 def test_what_integrates_is_judged_by_what_it_is_known_to(drag):
     """A mass that nothing holds: its free run drifts with values that are off within their errors.
 

@@ -47,7 +47,7 @@ def driven(seed, name):
     return replace(record, noise={})
 
 
-@pytest.mark.parametrize("name", others_slow(HIDDEN, 2))
+@pytest.mark.parametrize("name", others_slow(HIDDEN, 1))
 def test_what_an_actuator_does_is_named_and_measured(name):
     run = spiral.discover(driven(0, name), "oscillator", test=driven(50, name), values=WRONG)
     assert run.missing == (name,)

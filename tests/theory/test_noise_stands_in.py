@@ -3,12 +3,10 @@
 import pytest
 
 from experiments.zoo.bench import BENCH
-from tests.marks import others_slow
 
 
-@pytest.mark.parametrize(
-    ("machine", "seed"), others_slow([("thermal_box", 0), ("belt_drive", 0)], 1)
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("machine", "seed"), [("thermal_box", 0), ("belt_drive", 0)])
 def test_the_right_effect_comes_first(machine, seed):
     """A random force that lasts for hours stood in for a box's convection, misses white with it.
 

@@ -61,6 +61,7 @@ def pushed():
     return spiral.discover(record_of(system, 1), system, progress=silent)
 
 
+@pytest.mark.slow
 def test_waves_are_told_with_their_frequency(pushed):
     last = pushed.rounds[-1].comparison
     assert pushed.verdict == "nothing_missing", pushed.summary
@@ -70,6 +71,7 @@ def test_waves_are_told_with_their_frequency(pushed):
     assert "machine's own forces, around 0.3" in pushed.summary
 
 
+@pytest.mark.slow
 def test_values_beside_waves_are_the_true_ones(pushed):
     told = pushed.model.estimates()["system"]
     for name in ("c", "k"):

@@ -45,6 +45,7 @@ def question():
     return _question()
 
 
+@pytest.mark.slow
 def test_a_name_whose_values_the_record_does_not_tell_gives_way_to_a_curve(question):
     run = spiral.discover(
         *question,
