@@ -1,5 +1,7 @@
 """Machine code of a model's flow and of the filter's algebra against what they are defined by."""
 
+from dataclasses import replace
+
 import numba as nb
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood import predict
 from spiral.engine.likelihood.noise import NoiseTerm, first_noise
 from spiral.engine.likelihood.predict import predict_readings, vary_noise
+from spiral.engine.likelihood.transition import compressed_rows, entries_in
 from spiral.physics.compile import compile_model
 from spiral.physics.flow import compile_flow
 from spiral.physics.lanes import padded_width
@@ -151,6 +154,27 @@ def test_the_lower_half_of_a_symmetric_product(width):
     assert np.isnan(c[:, wide:]).all()
 
 
+@nb.njit
+def multiply_sparse(sparse, values, columns, ends, b, c, first):
+    sparse(values, columns, ends, b, c, first)
+
+
+@pytest.mark.parametrize("size", [0, 1, 5, 12])
+@pytest.mark.parametrize("width", [1, 13, 32])
+def test_a_product_with_a_sparse_matrix(size, width):
+    """Rows before the first are left alone; a row without entries gives zeros."""
+    rng, first, wide = np.random.default_rng(size), 3, padded_width(width)
+    a = rng.normal(size=(size, size)) * (rng.random((size, size)) < 0.4)
+    a[: size // 3] = 0.0
+    columns, ends = compressed_rows(a)
+    values = entries_in(a, columns, ends)
+    assert len(values) == np.count_nonzero(a)
+    b, c = rng.normal(size=(first + size, wide)), np.full((first + size, wide), np.nan)
+    multiply_sparse(compiled_algebra().sparse, values, columns, ends, b, c, first)
+    np.testing.assert_allclose(c[first:], a @ b[first:], rtol=1e-12, atol=1e-12)
+    assert np.isnan(c[:first]).all()
+
+
 @pytest.mark.parametrize("size", [1, 4, 7, 13])
 def test_a_measurement_is_taken_in_as_joseph_says(size):
     rng = np.random.default_rng(size)
@@ -213,6 +237,18 @@ def test_other_noise_along_one_motion(effects, values, share):
                                      (spreads, anew.spreads, run.spreads)):  # fmt: skip
             moved = np.linalg.norm(theirs - before)
             assert np.linalg.norm(mine - theirs) <= share * moved
+
+
+def test_slopes_of_the_flow_are_made_anew_where_they_are_not_kept():
+    effects, values = (CubicStiffness(),), {"cubic_stiffness.stiffness": 400.0}
+    task, settings = task_of(record_of(3, effects=effects, values=values), effects, values)
+    noise = all_noise(task)
+    run = predict_readings(task, settings, noise, keep=True)
+    assert run.flows.shape == (task.series.samples, 2, 2)
+    others = [noise.with_values({n: 1.05 * noise.values[n]}) for n in noise.names]
+    kept = vary_noise(task, settings, noise, others, run)
+    anew = vary_noise(task, settings, noise, others, replace(run, flows=run.flows[:0]))
+    np.testing.assert_allclose(kept, anew, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("effects", "known"), [

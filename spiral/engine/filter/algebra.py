@@ -2,6 +2,7 @@
 
     product      C = A B
     lower        the lower half of C = A B, where C is symmetric
+    sparse       C = A B of a matrix A with few entries that are not zero
     absorb       one scalar measurement: s = c P c^T + r, K = P c^T / s, x <- x + K e,
                  P <- (I - K c) P (I - K c)^T + K r K^T, and beside it d = c S + h_p,
                  S <- S - K d
@@ -38,8 +39,15 @@ from spiral.physics.lanes import (
 
 _V, _M = types.float64[::1], types.float64[:, ::1]
 _F, _I = types.float64, types.int64
+_I1 = types.int64[::1]
 PRODUCT = types.FunctionType(types.void(_M, _M, _M, _I, _I))
 """product(A, B, C, rows, inner): C = A B in these rows, sums over ``inner``; C is another array."""
+SPARSE = types.FunctionType(types.void(_V, _I1, _I1, _M, _M, _I))
+"""sparse(values, columns, ends, B, C, first): rows of C, and of B, from ``first`` on.
+
+The entries of row i of A are ``values[ends[i]:ends[i + 1]]``, in these ``columns``; C is another
+array.
+"""
 ABSORB = types.FunctionType(types.float64(_V, _M, _M, _M, _I, _F, _F, _V, _V))
 """absorb(x, M, C, D, j, r, e, gain, work) -> s, with row j of C.
 
@@ -55,6 +63,7 @@ class Algebra:
 
     product: Any
     lower: Any
+    sparse: Any
     absorb: Any
 
 
@@ -64,11 +73,13 @@ def compiled_algebra() -> Algebra:
     module = ir.Module("algebra")
     _write_product(module, "product", lower=False)
     _write_product(module, "lower", lower=True)
+    _write_sparse(module)
     _write_absorb(module)
     engine = engine_of(module)
     return Algebra(
         ModelFunction(PRODUCT, engine, "product"),
         ModelFunction(PRODUCT, engine, "lower"),
+        ModelFunction(SPARSE, engine, "sparse"),
         ModelFunction(ABSORB, engine, "absorb"),
     )
 
@@ -81,16 +92,22 @@ def _write_product(module: ir.Module, name: str, lower: bool) -> None:
     b, (first, second, out, rows, inner) = begin_function(module, name, PRODUCT)
     data = tuple(b.extract_value(m, 4) for m in (first, second, out))
     strides = tuple(b.extract_value(m, [5, 1]) for m in (first, second, out))
-    block = index(LANES * _WIDE)
     with for_loop(b, rows, _ROWS) as row:
         width = b.add(row, index(_ROWS)) if lower else strides[1]
-        full = b.mul(b.sdiv(width, block), block)
-        with b.if_then(b.icmp_signed(">", full, index(0))), for_loop(b, full, LANES * _WIDE) as at:
-            _write_block(b, data, strides, inner, row, at, _WIDE)
-        rest = b.sub(width, full)
-        with b.if_then(b.icmp_signed("<", full, width)), for_loop(b, rest, LANES) as more:
-            _write_block(b, data, strides, inner, row, b.add(full, more), 1)
+        for column, lanes in _blocks_of_columns(b, width):
+            _write_block(b, data, strides, inner, row, column, lanes)
     end_function(b)
+
+
+def _blocks_of_columns(b: ir.IRBuilder, width: Any) -> Iterator[tuple[Any, int]]:
+    """Loops over a row: its columns in blocks of twelve, then in fours."""
+    block = index(LANES * _WIDE)
+    full = b.mul(b.sdiv(width, block), block)
+    with b.if_then(b.icmp_signed(">", full, index(0))), for_loop(b, full, LANES * _WIDE) as at:
+        yield at, _WIDE
+    rest = b.sub(width, full)
+    with b.if_then(b.icmp_signed("<", full, width)), for_loop(b, rest, LANES) as more:
+        yield b.add(full, more), 1
 
 
 def _write_block(
@@ -113,6 +130,35 @@ def _write_block(
         start = b.add(b.mul(rows[i], strides[2]), column)
         for j in range(lanes):
             store_lanes(b, sums[i * lanes + j], result, b.add(start, index(LANES * j)))
+
+
+def _write_sparse(module: ir.Module) -> None:
+    """Row by row of C, each a sum over the entries of the row of A."""
+    b: Any
+    b, args = begin_function(module, "sparse", SPARSE)
+    values, columns, ends, other, out = (b.extract_value(a, 4) for a in args[:5])
+    first, width = args[5], b.extract_value(args[3], [5, 1])
+    rows = b.sub(b.extract_value(args[2], [5, 0]), index(1))
+    with b.if_then(b.icmp_signed(">", rows, index(0))), for_loop(b, rows) as i:
+        begin, end = (b.load(b.gep(ends, [b.add(i, index(more))])) for more in (0, 1))
+        count, start = b.sub(end, begin), b.mul(b.add(first, i), width)
+        for column, lanes in _blocks_of_columns(b, width):
+            places = [b.add(b.add(start, column), index(LANES * j)) for j in range(lanes)]
+            for place in places:
+                store_lanes(b, ZEROS, out, place)
+            with b.if_then(b.icmp_signed(">", count, index(0))):
+                sums = [ZEROS] * lanes
+                with for_loop(b, count, sums=sums) as e:
+                    at = b.add(begin, e)
+                    row = b.add(first, b.load(b.gep(columns, [at])))
+                    weight = broadcast_lanes(b, b.load(b.gep(values, [at])))
+                    here = b.add(b.mul(row, width), column)
+                    for j in range(lanes):
+                        more = load_lanes(b, other, b.add(here, index(LANES * j)))
+                        sums[j] = add_product(b, sums[j], weight, more)
+                for place, total in zip(places, sums, strict=True):
+                    store_lanes(b, total, out, place)
+    end_function(b)
 
 
 def _write_absorb(module: ir.Module) -> None:

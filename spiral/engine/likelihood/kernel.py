@@ -25,7 +25,7 @@ import numba as nb
 import numpy as np
 from numba import types
 
-from spiral.engine.filter.algebra import ABSORB, PRODUCT
+from spiral.engine.filter.algebra import ABSORB, PRODUCT, SPARSE
 from spiral.engine.filter.kernel import is_sound, reset_to_identity, slope_workspace, write_tracked
 from spiral.engine.likelihood.alike import (
     find_alike,
@@ -46,7 +46,12 @@ from spiral.engine.likelihood.transition import (
     add_forces,
     advance_noise_states,
     apply_transition,
+    compressed_rows,
+    copy_model_columns,
+    entries_in,
     entries_of,
+    load_flow,
+    store_flow,
     store_transition,
     transition_covariance,
     transition_rows,
@@ -199,14 +204,13 @@ def _take_reading(
 
 @nb.njit(**LOOP, fastmath=_FAST)
 def _predict_along(
-    values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
+    values, flow, output, product, lower, sparse, absorb, both, tracked, inputs, substeps, dt,
     y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains, rows,
-    states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
+    flows, states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
     scratch, space, h, cx, cv, own, own_work, kept, kept_rows, variances, s, s_later, watch, alike,
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
-    size, width = len(q), slopes.shape[2]
-    n, first, half = len(states), len(followed_states), 0.5 * dt
+    n, first, size, width, half = len(states), len(followed_states), len(q), slopes.shape[2], dt / 2
     k, calm, unchanging = 0, 0, constant and tracked == 0 and len(r) == 1
     for k in range(y.shape[0]):
         write_tracked(values, followed, followed_states)
@@ -224,16 +228,17 @@ def _predict_along(
         add_forces(x, driven, entries, first, half)
         _advance_sample(flow, watch, x, inputs, k, substeps, dt, values, constant and k > 0, f,
                         work, own, own_work, alike)  # fmt: skip
+        store_flow(k, f, flows)
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
         if calm >= CALM:
             store_transition(k, a, phi, n, transitions)
-            apply_transition(product, a, phi, links, s, s_later, n, size)
+            apply_transition(product, sparse, a, links, s, s_later, n, first)
             transition_slopes(s_later, f, s, n, first, size, width, 0)
             continue
         transition_rows(f, driven, entries, first, half, a, turned)
         store_transition(k, a, phi, n, transitions)
-        apply_transition(product, a, phi, links, p, later, n, size)
+        apply_transition(product, sparse, a, links, p, later, n, first)
         transition_slopes(later, f, p, n, first, size, width, len(p))
         transition_covariance(lower, later, turned, q, p, size)
         calm = count_calm(calm, unchanging, p, variances, s, size)
@@ -242,16 +247,16 @@ def _predict_along(
 
 @nb.njit(
     types.int64(
-        FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, MODEL_FUNCTION, PRODUCT, PRODUCT, ABSORB, _F1,
-        _F2, _F1, _I1, types.int64, _F2, types.int64, types.float64, _F2, _F2, _F2, _F2, _F2, _F2,
-        types.boolean, _F2, _F2, _F3, _F2, _F3, _F3, _F3,
+        FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, MODEL_FUNCTION, PRODUCT, PRODUCT, SPARSE,
+        ABSORB, _F1, _F2, _F1, _I1, types.int64, _F2, types.int64, types.float64, _F2, _F2, _F2,
+        _F2, _F2, _F2, types.boolean, _F2, _F2, _F3, _F2, _F3, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
-    flow, watch, varying, output, product, lower, absorb, mean, covariance, values, both, tracked,
-    inputs, substeps, dt, y, r, q, phi, seen, driven, constant,
-    misses, spreads, slopes, means, transitions, gains, rows,
+    flow, watch, varying, output, product, lower, sparse, absorb, mean, covariance, values, both,
+    tracked, inputs, substeps, dt, y, r, q, phi, seen, driven, constant,
+    misses, spreads, slopes, means, transitions, gains, rows, flows,
 ):  # fmt: skip
     """One-step predictions of a record.
 
@@ -260,7 +265,7 @@ def predict_record(
     flow, output : the model's flow and output with slopes by the parameters ``both``.
     watch : the bounds of its slopes by states (``physics.slope_bounds``), of which so many are
         ``varying``; 0 where transitions of samples alike are not looked for.
-    product, lower, absorb : as in ``filter.algebra``.
+    product, lower, sparse, absorb : as in ``filter.algebra``.
     mean : (N,) of (states, tracked parameters, noise states) before the first sample; covariance :
         (N, N) of it. values : (parameters,), overwritten where tracked.
     both : indices of the ``tracked`` parameters, then of those differentiated (width).
@@ -274,7 +279,8 @@ def predict_record(
     misses, spreads : (samples, channels) out: e and s; s is 0 where a channel is missing.
     slopes : (samples, channels, width) out: d. means : (samples, N) out, or no rows.
     transitions, gains, rows : (samples, N, N) F, (samples, channels, N) K and c out, for
-        ``propagate_signatures``, or no rows.
+        ``propagate_signatures``, or no rows. flows : (samples, n, n + tracked) out: A by states and
+        tracked parameters without forces, for ``vary_record``, or no rows.
 
     Returns
     -------
@@ -294,14 +300,15 @@ def predict_record(
     s, s_later = np.zeros((wide, padded_width(width))), np.zeros((wide, padded_width(width)))
     h, cx, cv = np.zeros(m), np.zeros((m, n)), np.zeros((m, values.shape[0]))
     x[:size] = mean
-    links = entries_of(phi)
-    turn_noise_rows(phi, links, n, turned)
+    columns, ends = compressed_rows(phi)
+    turn_noise_rows(phi, n, turned)
     return _predict_along(
-        values, flow, output, product, lower, absorb, both, tracked, inputs, substeps, dt,
+        values, flow, output, product, lower, sparse, absorb, both, tracked, inputs, substeps, dt,
         y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains,
-        rows, x[:n], x[:first], both[:tracked], entries_of(driven), links, f, work, p, later, a,
-        turned, x, c, d, scratch, space, h, cx, cv, own, own_work, kept, kept_rows, np.zeros(size),
-        s, s_later, watch, memory_of_transitions(n, varying),
+        rows, flows, x[:n], x[:first], both[:tracked], entries_of(driven),
+        (entries_in(phi, columns, ends), columns, ends), f, work, p, later, a, turned, x, c, d,
+        scratch, space, h, cx, cv, own, own_work, kept, kept_rows, np.zeros(size), s, s_later,
+        watch, memory_of_transitions(n, varying),
     )  # fmt: skip
 
 
@@ -356,9 +363,9 @@ def _propagate_departure(x, a, z, phi, before, n, first, later):
 
 @nb.njit(**LOOP, fastmath=_FAST)
 def _vary_along(
-    values, flow, product, lower, absorb, followed, inputs, substeps, dt, phi, driven, constant,
-    means, gains, rows, before, seen, r, q, phis, misses, spreads,
-    n, first, followed_states, entries, links, none, f, work, p, x, here, later,
+    values, flow, product, lower, sparse, absorb, followed, inputs, substeps, dt, phi, driven,
+    constant, means, gains, rows, flows, before, seen, r, q, phis, misses, spreads,
+    n, first, followed_states, entries, columns, ends, links, none, f, work, p, x, here, later,
     scratch, space, w, a, turned, own, own_work, kept, variances, calm, watch, alike,
 ):  # fmt: skip
     """The loop of ``vary_record``, in arrays made before."""
@@ -374,35 +381,41 @@ def _vary_along(
             break
         same = constant and k > 0
         if not same or first > n:  # else all of F is that of the sample before
-            for i in range(size):
-                here[i] = means[k, i]
-            write_tracked(values, followed, followed_states)
-            add_forces(here, driven, entries, first, 0.5 * dt)
-            _advance_sample(flow, watch, here, inputs, k, substeps, dt, values, same, f, work, own,
-                            own_work, alike)  # fmt: skip
-            transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
+            if flows.shape[0] > 0:
+                load_flow(k, flows, f)
+            else:
+                for i in range(size):
+                    here[i] = means[k, i]
+                write_tracked(values, followed, followed_states)
+                add_forces(here, driven, entries, first, 0.5 * dt)
+                _advance_sample(flow, watch, here, inputs, k, substeps, dt, values, same, f, work,
+                                own, own_work, alike)  # fmt: skip
+            transition_rows(f, driven, entries, first, 0.5 * dt, a, turned[0])
+            for v in range(1, len(x)):
+                copy_model_columns(turned[0], n, turned[v])
         for v in range(len(x)):
             _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
             if calm[v] >= CALM:
                 continue
-            apply_transition(product, a, phis[v], links, p[v], w, n, size)
-            turn_noise_rows(phis[v], links, n, turned)
-            transition_covariance(lower, w, turned, q[v], p[v], size)
+            own_links = (links[v], columns, ends)
+            apply_transition(product, sparse, a, own_links, p[v], w, n, first)
+            transition_covariance(lower, w, turned[v], q[v], p[v], size)
             if unchanging:
                 calm[v] = calm[v] + 1 if is_stationary(p[v], variances[v], size) else 0
 
 
 @nb.njit(
     types.void(
-        FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, PRODUCT, PRODUCT, ABSORB, _F1, _I1, _F2,
-        types.int64, types.float64, _F2, _F2, types.boolean, _F2, _F3, _F3, _F2, _F2, _F3, _F3,
-        _F3, _F3, _F3, _F3,
+        FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, PRODUCT, PRODUCT, SPARSE, ABSORB, _F1, _I1,
+        _F2, types.int64, types.float64, _F2, _F2, types.boolean, _F2, _F3, _F3, _F3, _F2, _F2,
+        _F3, _F3, _F3, _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def vary_record(
-    flow, watch, varying, product, lower, absorb, values, followed, inputs, substeps, dt, phi,
-    driven, constant, means, gains, rows, before, seen, starts, r, q, phis, misses, spreads,
+    flow, watch, varying, product, lower, sparse, absorb, values, followed, inputs, substeps, dt,
+    phi, driven, constant, means, gains, rows, flows, before, seen, starts, r, q, phis, misses,
+    spreads,
 ):  # fmt: skip
     """One-step predictions of a record under other models of its noise, along one filtered motion.
 
@@ -414,7 +427,8 @@ def vary_record(
     ----------
     flow : with slopes by the parameters ``followed``; others as in ``predict_record``. phi : Phi of
         the run before.
-    means, gains, rows, before, seen : what that run left: means, K, c, e and s.
+    means, gains, rows, flows, before, seen : what that run left: means, K, c, A, e and s; A is
+        made anew where it has no rows.
     starts, r, q, phis : (noises, ..) covariance before the first sample, r, Q and Phi of each.
     misses, spreads : (noises, samples, channels) out: e and s.
     """
@@ -426,14 +440,18 @@ def vary_record(
     wide, p = len(blank), np.zeros((len(starts), *blank.shape))
     x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
     scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
-    a, turned = np.zeros((padded_width(n), size)), np.zeros((size, padded_width(size)))
+    a, turned = np.zeros((padded_width(n), size)), np.zeros((len(starts), size, wide))
     p[:, :size, :size] = starts
-    links = entries_of(np.sum(np.abs(phis), axis=0))
+    columns, ends = compressed_rows(np.sum(np.abs(phis), axis=0))
+    links = np.zeros((len(starts), len(columns)))
+    for v in range(len(starts)):
+        turn_noise_rows(phis[v], n, turned[v])
+        links[v] = entries_in(phis[v], columns, ends)
     _vary_along(
-        values, flow, product, lower, absorb, followed, inputs, substeps, dt, phi, driven, constant,
-        means, gains, rows, before, seen, r, q, phis, misses, spreads,
-        n, first, here[:first], entries_of(driven), links, np.zeros((1, 0)), f, work, p, x, here,
-        later, scratch, space, w, a, turned, own, own_work,
+        values, flow, product, lower, sparse, absorb, followed, inputs, substeps, dt, phi, driven,
+        constant, means, gains, rows, flows, before, seen, r, q, phis, misses, spreads,
+        n, first, here[:first], entries_of(driven), columns, ends, links, np.zeros((1, 0)), f, work,
+        p, x, here, later, scratch, space, w, a, turned, own, own_work,
         np.zeros((len(starts), misses.shape[2], wide + 1)), np.zeros((len(starts), size)),
         np.zeros(len(starts), dtype=np.int64), watch, memory_of_transitions(n, varying),
     )  # fmt: skip

@@ -25,6 +25,7 @@ from spiral.physics.slope_bounds import SlopeBounds, compile_slope_bounds, no_sl
 from spiral.types.record import Array
 
 RUNAWAY = -1e300
+_MOST_KEPT = 8_000_000  # slopes of the flow over all samples that are kept: 64 MB
 _MANY = 16  # states from which transitions of samples alike are worth looking for
 
 
@@ -35,7 +36,8 @@ class Prediction:
     ``misses`` and ``spreads`` (samples, channels): e and its variance s, 0 where nothing was
     measured; ``slopes`` (samples, channels, parameters) of the predictions. Where they were asked
     for, ``means`` (samples, N) of states, tracked parameters and noise states after each sample,
-    ``gains`` K and ``rows`` c (samples, channels, N), and ``transitions`` F (samples, N, N).
+    ``gains`` K and ``rows`` c (samples, channels, N), ``transitions`` F (samples, N, N), and
+    ``flows``, its part (samples, states, states and tracked) that is the model's, if it changes.
     ``volume`` is 1/2 log(|P'| / |P|) of ``FilterSettings``, added to the first sample's
     log-likelihood: so a filter with a narrowed initial covariance P' compares with one that begins
     with the machine's own P (Laplace).
@@ -48,6 +50,7 @@ class Prediction:
     transitions: Array
     gains: Array
     rows: Array
+    flows: Array
     done: int
     volume: float = 0.0
 
@@ -105,18 +108,20 @@ def predict_readings(
     size, kept = len(parts.q), samples if keep or carry else 0
     more = samples if carry else 0
     first = np.concatenate([settings.start, task.values[tracked]])
+    constant, states = _is_transition_constant(task, settings), len(task.states)
+    same = constant and not len(tracked)
+    changing = 0 if same or kept * states * len(first) > _MOST_KEPT else kept
     arrays = (
         np.zeros((samples, m)), np.zeros((samples, m)), np.zeros((samples, m, len(keys))),
         np.zeros((kept, size)), np.zeros((more, size, size)), np.zeros((kept, m, size)),
-        np.zeros((kept, m, size)),
+        np.zeros((kept, m, size)), np.zeros((changing, states, len(first))),
     )  # fmt: skip
     series = task.series
     y = series.y if series.seen is None else np.where(series.seen, series.y, np.nan)
-    constant = _is_transition_constant(task, settings)
     watched = _watched_slopes(task, settings, len(both), constant)
     done = predict_record(
         flow.advance, watched.advance, watched.count, flow.output,
-        compiled.product, compiled.lower, compiled.absorb,
+        compiled.product, compiled.lower, compiled.sparse, compiled.absorb,
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), task.inputs, series.substeps, series.dt,
         np.ascontiguousarray(y), white, parts.q, parts.phi,
@@ -181,9 +186,9 @@ def vary_noise(
     watched = _watched_slopes(task, settings, len(tracked), constant)
     vary_record(
         flow.advance, watched.advance, watched.count,
-        compiled.product, compiled.lower, compiled.absorb, task.values.copy(), tracked, task.inputs,
-        series.substeps, series.dt, first.phi, first.driven,
-        constant, run.means, run.gains, run.rows, run.misses,
+        compiled.product, compiled.lower, compiled.sparse, compiled.absorb, task.values.copy(),
+        tracked, task.inputs, series.substeps, series.dt, first.phi, first.driven,
+        constant, run.means, run.gains, run.rows, run.flows, run.misses,
         run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip
     return [(misses[j], spreads[j]) for j in range(len(others))]

@@ -32,6 +32,29 @@ def entries_of(matrix):
     return entries[:count].copy()
 
 
+@nb.njit(cache=True, nogil=True)
+def compressed_rows(matrix):
+    """Columns of the entries that are not zero, row by row, and where each row ends (from 0)."""
+    columns, ends = np.zeros(matrix.size, dtype=np.int64), np.zeros(len(matrix) + 1, dtype=np.int64)
+    for i in range(matrix.shape[0]):
+        ends[i + 1] = ends[i]
+        for j in range(matrix.shape[1]):
+            if matrix[i, j] != 0.0:
+                columns[ends[i + 1]] = j
+                ends[i + 1] += 1
+    return columns[: ends[-1]].copy(), ends
+
+
+@nb.njit(cache=True, nogil=True)
+def entries_in(matrix, columns, ends):
+    """The entries of a matrix at places of ``compressed_rows``."""
+    values = np.zeros(len(columns))
+    for i in range(matrix.shape[0]):
+        for e in range(ends[i], ends[i + 1]):
+            values[e] = matrix[i, columns[e]]
+    return values
+
+
 @nb.njit(**INNER, fastmath=_FAST)
 def add_forces(x, driven, entries, first, half):
     """x <- x + G z dt / 2."""
@@ -89,35 +112,50 @@ def store_transition(k, a, phi, n, transitions):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def apply_transition(product, a, phi, links, m, w, n, size):
-    """W = F M; ``links`` are the entries of Phi that are not zero (``entries_of``)."""
-    first = size - phi.shape[0]
-    product(a, m, w, n, size)
+def apply_transition(product, sparse, a, links, m, w, n, first):
+    """W = F M; ``links`` of Phi: its ``entries_in``, and their ``compressed_rows``."""
+    values, columns, ends = links
+    product(a, m, w, n, first + len(ends) - 1)
     for i in range(n, first):
         for j in range(m.shape[1]):
             w[i, j] = m[i, j]
-    for i in range(first, size):
-        for j in range(m.shape[1]):
-            w[i, j] = 0.0
-    for e in range(links.shape[0]):
-        i, b = links[e, 0], links[e, 1]
-        value = phi[i, b]
-        for j in range(m.shape[1]):
-            w[first + i, j] += value * m[first + b, j]
+    sparse(values, columns, ends, m, w, first)
 
 
-@nb.njit(**INNER, fastmath=_FAST)
-def turn_noise_rows(phi, links, n, turned):
-    """The columns of F^T that belong to theta and z; ``transition_rows`` makes those of x.
-
-    ``links`` as in ``apply_transition``.
-    """
+@nb.njit(cache=True, nogil=True)
+def turn_noise_rows(phi, n, turned):
+    """The columns of F^T that belong to theta and z; ``transition_rows`` makes those of x."""
     first = turned.shape[0] - phi.shape[0]
     for i in range(n, first):
         turned[i, i] = 1.0
-    for e in range(links.shape[0]):
-        i, j = links[e, 0], links[e, 1]
-        turned[first + j, first + i] = phi[i, j]
+    for i in range(phi.shape[0]):
+        for j in range(phi.shape[0]):
+            turned[first + j, first + i] = phi[i, j]
+
+
+@nb.njit(**INNER)
+def copy_model_columns(turned, n, other):
+    """The columns of F^T that belong to x, in another F^T."""
+    for j in range(turned.shape[0]):
+        for i in range(n):
+            other[j, i] = turned[j, i]
+
+
+@nb.njit(**INNER)
+def store_flow(k, f, flows):
+    """Slopes of a sample's flow by the states and tracked parameters, where they are kept."""
+    if flows.shape[0] > 0:
+        for i in range(flows.shape[1]):
+            for j in range(flows.shape[2]):
+                flows[k, i, j] = f[i, j]
+
+
+@nb.njit(**INNER)
+def load_flow(k, flows, f):
+    """What ``store_flow`` kept."""
+    for i in range(flows.shape[1]):
+        for j in range(flows.shape[2]):
+            f[i, j] = flows[k, i, j]
 
 
 @nb.njit(**INNER, fastmath=_FAST)
