@@ -14,7 +14,7 @@ from experiments.laws.truth import CASES, draw, motion
 from spiral.inference.evidence.fit_state import half_masks
 from spiral.inference.likelihood.fitting import WARM, fit_by_likelihood
 from spiral.inference.problem import silent
-from spiral.inference.strategies.likelihood.laws import find_named_law
+from spiral.inference.strategies.likelihood.laws import PromisingChanges, find_named_law
 from spiral.io.problem_setup import pose_problem
 from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_effect, failed
@@ -124,8 +124,10 @@ def test_a_law_that_a_candidate_explains_as_well_takes_its_name():
     base = fit_by_likelihood(
         begun.assembly, begun.fit_state, masks=masks[0], steps=WARM, rough=True
     )
+    changes = PromisingChanges(begun.assembly, masks[0])
     law = find_named_law(options, begun.assembly, begun.fit_state, base, False, begun.comparison,
-                    masks, 0.01, silent)  # fmt: skip
+                         masks, 0.01, changes, silent)  # fmt: skip
+    assert changes.beside(base) is changes.beside(base)
     assert law is not None
     assert law.effect.label == "clearance"
     assert "dead_zone_law" in law.aliases

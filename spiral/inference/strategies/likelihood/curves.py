@@ -47,9 +47,9 @@ from spiral.inference.strategies.likelihood.admission import (
 )
 from spiral.inference.strategies.likelihood.benefit import Refusal
 from spiral.inference.strategies.likelihood.laws import (
+    PromisingChanges,
     fit_without,
     full_log_likelihood,
-    promising_changes,
     stand_in_labels,
     undetermined_among,
 )
@@ -80,7 +80,7 @@ class MissingCurve:
 
 def find_missing_curve(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, comparison: Comparison,
-    masks: tuple[Masks, Masks], level: float, progress: Progress,
+    masks: tuple[Masks, Masks], level: float, changes: PromisingChanges, progress: Progress,
 ) -> MissingCurve | None:  # fmt: skip
     """The curve that makes the record most likely, beside the model or in place of what it added.
 
@@ -91,7 +91,8 @@ def find_missing_curve(
     """
     progress("trying curves over each state")
     helps = benefit_objection(options, comparison, assembly.problem.settings)
-    assembly = _offer_curves(assembly, base, masks[0])
+    curves = (e for e in changes.beside(base) if e.bare)  # of parameters where they score best
+    assembly = offer_effects(assembly, (*assembly.problem.dictionary, *curves))
     alone = _fit_seed_alone(assembly, base.state, masks[0])
     passing = None
     if alone is not None:
@@ -158,12 +159,6 @@ def find_equal_curve(
     if passing is None:
         return None
     return replace(_missing_curve(passing, progress), replaces=replaces, undetermined=unsure)
-
-
-def _offer_curves(assembly: Assembly, base: LikelihoodFit, select: Masks) -> Assembly:
-    """The study with all curves offered, those of parameters at the places that score best."""
-    changes = (e for e in promising_changes(assembly, base, select) if e.bare)
-    return offer_effects(assembly, (*assembly.problem.dictionary, *changes))
 
 
 def _missing_curve(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -86,10 +86,30 @@ class _LawStart:
     worth: float = 0.0
 
 
+@dataclass(frozen=True)
+class PromisingChanges:
+    """``promising_changes`` of a study beside any model, computed once for each.
+
+    Laws and curves ask for them beside the same model.
+    """
+
+    assembly: Assembly
+    select: Masks
+    known: list[tuple[LikelihoodFit, tuple[Effect, ...]]] = field(default_factory=list)
+
+    def beside(self, base: LikelihoodFit) -> tuple[Effect, ...]:
+        """The changes that score best beside a model."""
+        for fit, changes in self.known:
+            if fit is base:
+                return changes
+        self.known.append((base, promising_changes(self.assembly, base, self.select)))
+        return self.known[-1][1]
+
+
 def find_named_law(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
     white: bool, comparison: Comparison, masks: tuple[Masks, Masks], level: float,
-    progress: Progress,
+    changes: PromisingChanges, progress: Progress,
 ) -> NamedLaw | None:  # fmt: skip
     """The law that is admitted; nothing where none passes.
 
@@ -109,8 +129,8 @@ def find_named_law(
     whole = moved or not white or not gone
     for start in _law_starts(assembly, state, base, gone, whole, masks[0], progress):
         progress("trying laws with a closed form")
-        changes = promising_changes(assembly, start.base, masks[0])
-        offered = offer_effects(assembly, (*laws, *(e for e in changes if not e.bare)))
+        forms = (e for e in changes.beside(start.base) if not e.bare)
+        offered = offer_effects(assembly, (*laws, *forms))
         law = _find_law_from(options, offered, start, comparison, masks, level, progress)
         if law is not None:
             return law

@@ -43,7 +43,7 @@ from spiral.inference.strategies.likelihood.curves import (
     find_equal_curve,
     find_missing_curve,
 )
-from spiral.inference.strategies.likelihood.laws import find_named_law
+from spiral.inference.strategies.likelihood.laws import PromisingChanges, find_named_law
 from spiral.inference.strategies.likelihood.look_alikes import recheck_admitted
 from spiral.inference.strategies.likelihood.memory_rounds import find_missing_memory
 from spiral.inference.strategies.likelihood.other_noise import (
@@ -157,8 +157,10 @@ def _step_for_unexplained(
     memory = find_missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
-    white = step.stopped == "whiteness"
-    law = find_named_law(options, assembly, state, base, white, comparison, masks, level, progress)
+    white, changes = step.stopped == "whiteness", PromisingChanges(assembly, masks[0])
+    law = find_named_law(
+        options, assembly, state, base, white, comparison, masks, level, changes, progress
+    )
     if law is not None:
         label, aliases = law.effect.label, law.aliases
         return replace(
@@ -172,7 +174,9 @@ def _step_for_unexplained(
     if white and not much:
         curve = find_equal_curve(options, assembly, state, base, comparison, masks, level, progress)
     else:
-        curve = find_missing_curve(options, assembly, base, comparison, masks, level, progress)
+        curve = find_missing_curve(
+            options, assembly, base, comparison, masks, level, changes, progress
+        )
     return step if curve is None else _with_missing_curve(step, curve, assembly.problem.settings)
 
 
