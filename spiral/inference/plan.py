@@ -52,6 +52,7 @@ class PlannedTest:
     inputs : input -> description, as ``record.inputs`` takes it; empty for the record at hand.
     duration, rate : s and samples per s.
     unbalance : factor on the unbalance (a trial weight added).
+    start : states where the test begins, by name; zero where left out.
     """
 
     words: str
@@ -59,6 +60,7 @@ class PlannedTest:
     duration: float
     rate: float
     unbalance: float = 1.0
+    start: Mapping[str, float] = field(default_factory=dict)
 
 
 Simulate = Callable[[Model, PlannedTest], Record]

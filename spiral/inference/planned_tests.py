@@ -22,6 +22,7 @@ MakeSource = Callable[[Mapping[str, Any]], Source]
 
 _MOST = 200  # tests in one plan
 _RANDOM = ("noise", "multisine")
+_PEAK = 4.0  # deviations that random waveforms hardly exceed
 
 
 def planned_tests(problem: Problem, wishes: PlanOptions) -> tuple[PlannedTest, ...]:
@@ -44,8 +45,9 @@ def planned_tests(problem: Problem, wishes: PlanOptions) -> tuple[PlannedTest, .
     weights = (wishes.unbalances or (1.0, 3.0)) if turning else (1.0,)
     if not any(e.undirected() for e in problem.model.effects):
         weights = (1.0,)
+    start = {} if turning else _first_readings(problem)  # a machine that turns has run in
     tests = tuple(
-        _planned_test(words, given, seconds, rate, weight)
+        _planned_test(words, given, seconds, rate, weight, start)
         for (words, given), seconds, rate, weight in itertools.product(
             drives, durations, rates, weights
         )
@@ -57,13 +59,22 @@ def planned_tests(problem: Problem, wishes: PlanOptions) -> tuple[PlannedTest, .
     return tests
 
 
+def _first_readings(problem: Problem) -> dict[str, float]:
+    """States where the first record begins, as far as readings tell."""
+    states, record = problem.model.system.states, problem.records[0]
+    names = {s.name for s in states}
+    read = {n: float(f"{v[0]:.4g}") for n, v in record.channels.items() if n in names}
+    return {**read, **{s.name: read[s.like] for s in states if s.like in read}}
+
+
 def _planned_test(
-    words: str, inputs: Mapping[str, Any], seconds: float, rate: float, weight: float
-) -> PlannedTest:
+    words: str, inputs: Mapping[str, Any], seconds: float, rate: float, weight: float,
+    start: Mapping[str, float],
+) -> PlannedTest:  # fmt: skip
     told = f"{words} in {seconds:.4g} s, {rate:.4g}/s"
     if weight != 1.0:
         told += f", unbalance x {weight:g}"
-    return PlannedTest(told, inputs, float(seconds), float(rate), float(weight))
+    return PlannedTest(told, inputs, float(seconds), float(rate), float(weight), start)
 
 
 def _speed_drives(problem: Problem, wishes: PlanOptions) -> list[tuple[str, dict[str, Any]]]:
@@ -85,7 +96,11 @@ def _speed_drives(problem: Problem, wishes: PlanOptions) -> list[tuple[str, dict
 def _waveform_drives(
     problem: Problem, wishes: PlanOptions, item: Input
 ) -> list[tuple[str, dict[str, Any]]]:
-    """Waveforms of the first input, about its mean; other inputs stay at their means."""
+    """Waveforms of the first input, about its mean; other inputs stay at their means.
+
+    One that never changes its sign in the records does not in a test either, unless amplitudes are
+    asked for: a heater does not cool.
+    """
     rest = {
         i.name: {"constant": _input_mean(problem, i.name)}
         for i in problem.model.system.inputs
@@ -103,11 +118,19 @@ def _waveform_drives(
     for form, factor, (low, high) in itertools.product(
         wishes.forms or ("noise", "chirp"), wishes.amplitudes or (0.5, 1.0, 2.0), bands
     ):
-        level = float(f"{factor * size * (1.0 if form in _RANDOM else np.sqrt(2)):.4g}")
+        level = factor * size * (1.0 if form in _RANDOM else np.sqrt(2))
+        if not wishes.amplitudes and _keeps_its_sign(problem, item.name):
+            level = min(level, abs(mean) / (_PEAK if form in _RANDOM else 1.0))
+        level = float(f"{level:.4g}")
         edges = [float(f"{low:.3g}"), float(f"{high:.3g}")]
         words = f"{item.name}: {form} of {level:g} {item.unit}, {edges[0]:g} to {edges[1]:g} Hz"
         drives.append((words, {item.name: {form: level, "band": edges, **offset}, **rest}))
-    return drives
+    return list({words: (words, given) for words, given in drives}.values())
+
+
+def _keeps_its_sign(problem: Problem, name: str) -> bool:
+    values = np.concatenate([r.inputs[name] for r in problem.records])
+    return bool(values.min() >= 0 or values.max() <= 0)
 
 
 def _input_mean(problem: Problem, name: str) -> float:
@@ -137,7 +160,7 @@ def simulator(problem: Problem, make: MakeSource, seed: int = 0) -> Simulate:
 
     def simulate_test(model: Model, test: PlannedTest) -> Record:
         fields = {
-            **simulation_fields(model, test, problem),
+            **simulation_fields(model, test),
             "seed": seed,
             "measured_phase": measured,
         }
@@ -161,10 +184,11 @@ def _load_single_record(source: Source, model: Model) -> Record:
     return replace(record, name="planned")
 
 
-def simulation_fields(model: Model, test: PlannedTest, problem: Problem) -> dict[str, Any]:
+def simulation_fields(model: Model, test: PlannedTest) -> dict[str, Any]:
     """Fields of ``record=simulation`` that make a test of a model."""
     known = {k for k, _ in model.pairs}
     return {
+        "start": dict(test.start),
         "values": {k: float(v) for k, v in model.values.items() if k in known},
         "inputs": dict(test.inputs),
         "duration": test.duration,
@@ -187,6 +211,7 @@ def record_overrides(test: PlannedTest, noise_level: float, model: Model) -> tup
     words = [f"record.inputs={_format_plain(test.inputs)}", f"record.duration={test.duration:g}"]
     words += [f"record.rate={test.rate:g}", f"record.noise_level={noise_level:.4g}"]
     words += ["record.settled=true"] if "speed" in test.inputs else []
+    words += [f"record.start={_format_plain(test.start)}"] if any(test.start.values()) else []
     for effect in model.effects:
         if effect.undirected() and test.unbalance != 1.0:
             key = f"{effect.label}.{effect.amplitudes()[0].name}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class SpiralError(Exception):
@@ -56,6 +57,14 @@ def near_misses(word: str, known: Iterable[str], count: int = 3) -> list[str]:
     inside = [n for n in names if len(low) > 3 and low in n.lower()]
     close = difflib.get_close_matches(word, names, n=count, cutoff=0.55)
     return list(dict.fromkeys([*prefixed, *close, *inside]))[:count]
+
+
+def similar_files(place: Path) -> str:
+    """A hint that names files of nearly this name in its folder; empty where there are none."""
+    if not place.parent.is_dir():
+        return ""
+    near = near_misses(place.name, [p.name for p in place.parent.iterdir() if p.is_file()])
+    return f"did you mean {' or '.join(str(place.parent / n) for n in near)}?" if near else ""
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

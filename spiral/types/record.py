@@ -170,9 +170,12 @@ def make_record(
     truth: Mapping[str, Array] | None = None,
     notes: tuple[str, ...] = (),
     hold: Mapping[str, str] | str | None = None,
+    filled: Mapping[str, Array] | None = None,
 ) -> Record:
     """Check a series against a system and complete its inputs.
 
+    Readings of a channel that are NaN, at most half of them, are left out, and so are those where
+    ``filled`` (name -> (samples,)) says that a value was put in the place of a reading.
     ``hold`` says how inputs run between their samples where not as the system says
     (``types.parameter.Input``), by name or for all: ``zero_order`` where a controller holds them.
 
@@ -190,10 +193,10 @@ def make_record(
     missing = {k: _missing_mask(v) for k, v in given.items()}
     given = {k: bridged(v, missing[k]) for k, v in given.items()}
     _check_series(name, given, known, len(time))
+    missing |= {k: missing[k] | where for k, where in (filled or {}).items()}
     spoilt = _find_spoilt_readings(system, given, known, missing)
     whole = [k for k, some in spoilt.items() if "clipped" not in [s.kind for s in some]]
     extra = [clipping(k, given[k]) for k in whole]
-    measured = tuple(known)
     known = integrate_derived_inputs(system, time, known)
     step = (time[-1] - time[0]) / (len(time) - 1)
     return Record(
@@ -203,7 +206,7 @@ def make_record(
         inputs={i.name: known[i.name] for i in system.inputs},
         noise=check_noise(dict(noise or {}), given),
         truth=dict(truth or {}),
-        measured=measured,
+        measured=tuple(inputs),
         notes=(*notes, *(note for note in extra if note)),
         spoilt={k: some for k, some in spoilt.items() if some},
         hold=held,

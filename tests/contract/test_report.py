@@ -11,11 +11,13 @@ import pytest
 
 import spiral
 from spiral.cli import main
-from spiral.io.curves import FILE, read_curves
+from spiral.io.curves import FILE, FINAL, Curves, read_curves
 from spiral.io.storage import load_run, read_run
 from spiral.view.report.evidence import error_falling
+from spiral.view.report.motion import orbit
 from spiral.view.report.pictures import find_browser, write_png
 from spiral.view.report.style import scale_to_prefix, thin_curve
+from spiral.view.report.text import report_header
 from spiral.view.terminal.shell import quote_word as shell_word
 
 STUDY = ("discover", "experiment=rotor_coastdown", "record.duration=2.5", "settings.max_rounds=2",
@@ -218,3 +220,19 @@ def test_units_are_scaled_to_be_read(unit, largest, expected):
 def test_a_browser_draws_it(html, tmp_path):
     file = write_png(html, tmp_path / "report.png", 1000, 2400)
     assert file.stat().st_size > 50_000
+
+
+def test_the_title_names_look_alikes_too():
+    rounds = [{"admitted": ["cubic_loss@T"], "aliases": {"cubic_loss@T": ["radiation_loss@T"]}}]
+    saved = {"verb": "discover", "created": "2026-11-27T10:00", "config": {"system": {"name": "s"}},
+             "result": {"missing": ["cubic_loss@T"], "rounds": rounds, "summary": "s"}}  # fmt: skip
+    head = report_header(saved, None)
+    assert "<h1>Missing: cubic loss at T (or radiation loss at T)</h1>" in head
+
+
+def test_an_orbit_is_of_two_readings_of_one_unit():
+    path = np.column_stack([np.sin(np.arange(300) / 9), np.cos(np.arange(300) / 9)])
+    arrays = {"0.y": path, f"0.{FINAL}.free": path}
+    for unit, drawn in (("m", True), ("Pa", False)):
+        channels = [{"name": "x", "unit": "m"}, {"name": "p", "unit": unit}]
+        assert (orbit(Curves({"channels": channels}, arrays), 0) is not None) == drawn

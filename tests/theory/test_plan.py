@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from spiral_plugins.strategies.shooting import Shooting
+from spiral_plugins.systems.equations import Equations
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.cli import main
@@ -13,10 +14,11 @@ from spiral.inference.compare import compare
 from spiral.inference.discover import discover
 from spiral.inference.plan import PlanQuestion, plan
 from spiral.inference.plan_options import PlanOptions
-from spiral.inference.planned_tests import planned_tests, simulator
+from spiral.inference.planned_tests import planned_tests, record_overrides, simulator
 from spiral.inference.problem import Problem
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model, seed_model
+from spiral.types.record import make_record
 from tests.marks import others_slow
 from tests.scenes import SEED_TRUTH, effect, planar_record, registry
 
@@ -148,6 +150,34 @@ def test_a_bad_plan_is_one_message(given, words, tmp_path, capsys):
     assert main(["plan", *SWING, f"out={tmp_path}", *given]) == 2
     told = capsys.readouterr().err
     assert all(w in told for w in words)
+
+
+HEATER = """
+equations: ["C*T' = P - k*(T - T_a)", "C*W' = k*(T - W)"]
+states: {T: K, W: {unit: K, like: T}}
+inputs: {P: W}
+parameters: {C: 1 J/K, k: 0.5 W/K, T_a: 275 K}
+observed: [T]
+"""
+
+
+def test_a_test_asks_of_an_input_what_it_can_do():
+    """A heater does not cool; the test begins where the record did."""
+    heated = Equations(text=HEATER)
+    time = np.arange(400) * 0.1
+    record = make_record(heated, "r", time, {"T": 295 + np.sin(time)}, {"P": 10 + 6 * np.sin(time)})
+    problem = Problem(seed_model(heated), (record,), (record,), candidates=())
+    tests = planned_tests(problem, PlanOptions(durations=(10.0,), rates=(10.0,)))
+    sizes = {t.words: t.inputs["P"] for t in tests}
+    assert len(sizes) == len(tests) > 2
+    for given in sizes.values():
+        assert 4 * given.get("noise", 0.0) <= given["offset"] * (1 + 1e-3)
+        assert given.get("chirp", 0.0) <= given["offset"] * (1 + 1e-3)
+    assert tests[0].start == {"T": 295.0, "W": 295.0}
+    words = record_overrides(tests[0], 0.01, problem.model)
+    assert "record.start={T: 295, W: 295}" in words
+    asked = planned_tests(problem, PlanOptions(durations=(10.0,), rates=(10.0,), amplitudes=(3.0,)))
+    assert max(t.inputs["P"].get("noise", 0.0) for t in asked) > 10
 
 
 def test_a_plan_has_an_end(steady):

@@ -20,6 +20,10 @@ def test_gaps_are_filled_only_when_asked():
     assert rms(left[holes]) < 3 * record.sigma()["x"]
     assert np.count_nonzero(left) == len(holes)
     assert "9 values" in note(found, "gaps")
+    (lost,) = found.spoilt["x"]
+    assert lost.kind == "missing"
+    np.testing.assert_array_equal(np.flatnonzero(lost.where), holes)
+    assert "y" not in found.spoilt
     longer = refusal(table, fill_gaps=2)
     assert "3 samples" in longer.given
     assert "row 500" in longer.given
@@ -43,6 +47,26 @@ def test_rows_that_a_file_lacks_are_a_gap():
     error = refusal(table, fill_gaps=2)
     assert "3 samples" in error.given
     assert "2.999 s" in error.given
+
+
+def test_what_fills_a_gap_is_no_reading_whatever_is_done_next():
+    """Probes off the axes share their gaps; a change of rate keeps their place; NaN may be many."""
+    record = rotor()
+    table = {k: v.copy() for k, v in columns(record, "speed", "phase").items()}
+    table["a"][500:520] = np.nan
+    kept = {k: np.delete(v, slice(2000, 2003)) for k, v in table.items()}
+    turned = load(kept, fill_gaps=20, probe_angles={"x": 45, "y": 135})
+    for channel in ("x", "y"):
+        (lost,) = turned.spoilt[channel]
+        assert np.flatnonzero(lost.where).tolist() == [*range(500, 520), *range(2000, 2003)]
+    slower = load(table, fill_gaps=20, resample=500)
+    (lost,) = slower.spoilt["x"]
+    times = slower.time[lost.where]
+    assert record.time[499] < times.min() < times.max() < record.time[520]
+    longer = load(kept, fill_gaps=3, missing="leave_out")
+    (lost,) = longer.spoilt["x"]
+    assert lost.where.sum() == 23
+    assert "no readings of x, y" in note(longer, "gaps")
 
 
 def test_a_lower_rate_keeps_motion_and_phase_and_drops_the_rest():

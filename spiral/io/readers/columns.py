@@ -71,7 +71,8 @@ class Columns(Source):
         second; readings are turned to the axes.
     slow_roll : {rows: [start, stop]} or {speed: [low, high]} (in the file's unit), perhaps with
         {path: FILE}: where the shaft turns slowly; mean and 1X there are subtracted everywhere.
-    fill_gaps : longest gap, in samples, that is bridged by interpolation.
+    fill_gaps : longest gap, in samples, that is bridged by interpolation; what is put in the place
+        of a channel's reading is not taken for one.
     missing : ``refuse`` empty cells, or ``leave_out`` those of channels, at most half of each.
     resample : samples per s to bring the record to, through an anti-alias filter.
     hold : how inputs run between their samples (``types.parameter.Input``), for all or by name;
@@ -183,6 +184,7 @@ class Columns(Source):
             series.noise,
             notes=(*table.notes, told, *series.notes),
             hold=self.hold,
+            filled=series.filled,
         )
 
     def _resolve_layout(self, system: System, table: Table) -> ColumnLayout:
@@ -235,7 +237,7 @@ class Columns(Source):
             check_increasing(name, time)
         series = rotor_series.unwrap_phase(series)
         if self.fill_gaps is not None:
-            series = interpolate_gaps(series, self.fill_gaps)
+            series = interpolate_gaps(series, self.fill_gaps, self.missing == "leave_out")
         if self.pulse is not None:
             series = rotor_series.add_pulse_phase(
                 system, series, self.pulse, self.pulse_level, self.pulse_edge

@@ -254,13 +254,17 @@ def rotate_to_axes(system: System, series: FileSeries, angles: Mapping[str, floa
         spread = np.sqrt(inverse**2 @ np.square([noise[first], noise[second]]))
         noise.update({first: float(spread[0]), second: float(spread[1])})
     channels = {**series.channels, first: turned[0], second: turned[1]}
+    probes = [series.filled[n] for n in (first, second) if n in series.filled]
+    filled = dict(series.filled)
+    if probes:  # either is part of both axes
+        filled |= dict.fromkeys((first, second), np.logical_or.reduce(probes))
     words = (
         f"probes {first} at {angles[first]:g}° and {second} at {angles[second]:g}° "
         "turned to the axes"
     )
     if abs(abs(apart) - 1) > 1e-6:
         words += "; not at right angles, so their noise is correlated afterwards"
-    return replace(series, channels=channels, noise=noise).with_note(words)
+    return replace(series, channels=channels, noise=noise, filled=filled).with_note(words)
 
 
 def _probe_axes(system: System, angles: Mapping[str, float]) -> tuple[str, str]:

@@ -31,6 +31,7 @@ class FileSeries:
     channels : as the probes read them. inputs : as given or derived from pulses.
     noise : declared standard deviation of channels. notes : what was done, in words.
     pulse : (samples,) of a once-per-turn pulse, where there is one, until it has become phase.
+    filled : channel -> (samples,) True where a value was put in the place of a reading.
     """
 
     name: str
@@ -40,6 +41,7 @@ class FileSeries:
     noise: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     pulse: Array | None = None
+    filled: Mapping[str, Array] = field(default_factory=dict)
 
     def with_note(self, words: str) -> FileSeries:
         """The same numbers with one more note."""
@@ -56,8 +58,11 @@ class FileSeries:
 # --- gaps ----------------------------------------------------------------------------------------
 
 
-def interpolate_gaps(series: FileSeries, longest: int) -> FileSeries:
+def interpolate_gaps(series: FileSeries, longest: int, leave_out: bool = False) -> FileSeries:
     """Missing values and missing rows bridged by Akima interpolation, up to ``longest`` in a row.
+
+    What is put in the place of a sensor's reading is none: it is ``filled``. With ``leave_out``
+    missing cells of a channel may be as many as they will.
 
     Raises
     ------
@@ -70,7 +75,8 @@ def interpolate_gaps(series: FileSeries, longest: int) -> FileSeries:
         gaps = _true_runs(~np.isfinite(values))
         if not gaps:
             return values
-        _check_gaps(opened, key, gaps, longest)
+        if not (leave_out and key in opened.channels):
+            _check_gaps(opened, key, gaps, longest)
         counts[key] = gaps
         return _interpolate_missing(values)
 
@@ -80,9 +86,11 @@ def interpolate_gaps(series: FileSeries, longest: int) -> FileSeries:
     values = sum(stop - start for gaps in counts.values() for start, stop in gaps)
     worst = max(stop - start for gaps in counts.values() for start, stop in gaps)
     rows = f" ({absent} rows that the file lacks)" if absent else ""
-    return bridged.with_note(
+    filled = {k: ~np.isfinite(v) for k, v in opened.channels.items() if k in counts}
+    left = f"; no readings of {', '.join(filled)} are taken from there" if filled else ""
+    return replace(bridged, filled=filled).with_note(
         f"gaps filled by interpolation in {', '.join(counts)}: {values} values{rows}, "
-        f"at most {worst} in a row"
+        f"at most {worst} in a row{left}"
     )
 
 
@@ -187,10 +195,12 @@ def resample_series(system: System, series: FileSeries, rate: float) -> FileSeri
         level = values if even else CubicSpline(series.time, values)(grid)
         return _polyphase_filter(level, up, down, taps)[edge : count - edge]
 
+    filled = {k: np.interp(time, series.time, v) > 0 for k, v in series.filled.items()}
     gain = float(np.sqrt(up * np.sum(taps**2)))
     noise = {k: gain * v for k, v in series.noise.items()}
     steps_word = "" if even else f", uneven steps of {steps.min():.4g} to {steps.max():.4g} s"
-    return replace(series.transform_series(resample_values), time=time, noise=noise).with_note(
+    changed = series.transform_series(resample_values)
+    return replace(changed, time=time, noise=noise, filled=filled).with_note(
         f"resampled from {own:.6g} to {1 / step:.6g} Hz{steps_word}"
         + ("" if edge == 0 else f", anti-alias filter, {edge} samples less at each end")
     )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from spiral.physics.formulas.observed import with_primes
-from spiral.types.errors import InputError, near_misses
+from spiral.types.errors import InputError, near_misses, similar_files
 
 Array = np.ndarray
 
@@ -55,13 +55,7 @@ def _file_names_in(places: list[Path]) -> str:
 
 
 def _near_miss_hint(places: list[Path]) -> str:
-    for place in places:
-        if place.parent.is_dir():
-            names = [p.name for p in place.parent.iterdir() if p.is_file()]
-            near = near_misses(place.name, names)
-            if near:
-                return "did you mean " + " or ".join(str(place.parent / n) for n in near) + "?"
-    return ""
+    return next((hint for place in places if (hint := similar_files(place))), "")
 
 
 @dataclass(frozen=True)

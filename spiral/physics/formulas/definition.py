@@ -19,7 +19,13 @@ from pathlib import Path
 from typing import Any, get_args
 
 from spiral.physics.formulas.observed import split_observed
-from spiral.types.errors import ConfigError, InputError, PluginError, did_you_mean
+from spiral.types.errors import (
+    ConfigError,
+    InputError,
+    PluginError,
+    did_you_mean,
+    similar_files,
+)
 from spiral.types.fields import unknown_field
 from spiral.types.parameter import Input, Interpolation, Parameter, State
 from spiral.types.units import short_form
@@ -170,7 +176,10 @@ def text_of_file(path: str | Path) -> str:
         text = place.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         said = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"system file {str(path)!r}: {said}", "a file that can be read") from error
+        raise InputError(
+            f"system file {str(path)!r}: {said}", "a file that can be read",
+            similar_files(place) or "check the path",
+        ) from error  # fmt: skip
     if place.suffix.lower() != ".toml":
         return text
     import tomllib

@@ -93,12 +93,13 @@ def _final_figures(c: Curves) -> list[tuple[str, str, str, Callable[[], Figure |
     free: list[tuple[str, str, str, Callable[[], Figure | None]]] = []
     turns = c.get_input(test, "speed") is not None
     over = text.WATERFALL if turns else text.WATERFALL_OVER_TIME
+    path = text.ORBIT if turns else text.ORBIT_OVER_TIME
     if SEED in c.meta["models"]:
         free = [("free_run", "Free run on the test record", text.FREE,
                  lambda: motion.measured_against_model(c, test, FINAL))]  # fmt: skip
     return [
         *free,
-        ("orbit", "Orbit", text.ORBIT, lambda: motion.orbit(c, test)),
+        ("orbit", "Orbit", path, lambda: motion.orbit(c, test)),
         ("bode", "First order over speed", text.BODE, lambda: rotor.bode(c, test)),
         ("polar", "First order, polar", text.POLAR, lambda: rotor.polar(c, test)),
         ("waterfall", "Waterfall", over, lambda: rotor.waterfall(c, test)),

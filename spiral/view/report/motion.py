@@ -73,7 +73,9 @@ def orbit(curves: Curves, record: int) -> go.Figure | None:
     y, free = curves.get(record, "y"), curves.get(record, FINAL, "free")
     channels = curves.meta["channels"]
     phase = curves.get_input(record, "phase")
-    if y is None or free is None or len(channels) != 2 or not np.isfinite(free).all():
+    if y is None or free is None or not np.isfinite(free).all():
+        return None
+    if len(channels) != 2 or len({c["unit"] for c in channels}) != 1:
         return None
     size = np.convolve(np.sum((y - y.mean(axis=0)) ** 2, axis=1), np.ones(64), "same")
     middle = int(np.argmax(size))

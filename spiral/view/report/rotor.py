@@ -121,9 +121,9 @@ def waterfall(curves: Curves, record: int) -> go.Figure | None:
     if y is None:
         return None
     channels, about = curves.meta["channels"], curves.meta["records"][record]
-    factor, unit = scale_to_prefix(channels[0]["unit"], y)
     figure = blank_figure(1, len(channels), 560, horizontal_spacing=0.13)
     for j, channel in enumerate(channels):
+        factor, unit = scale_to_prefix(channel["unit"], y[:, j])
         spectrogram = _slice_spectra(y[:, j : j + 1], about["dt"])
         over = _slice_heights(spectrogram, about, speed)
         size = factor * np.sqrt(2 * spectrogram.power)

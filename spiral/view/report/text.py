@@ -67,6 +67,7 @@ EVIDENCE = (
 COEFFICIENTS = "Standard errors are from samples that did not select the effects."
 FREE = BEFORE
 ORBIT = "The turns of largest motion; dots mark the passing of the once-per-turn mark."
+ORBIT_OVER_TIME = "One reading over the other where the motion is largest."
 BODE = (
     "Least squares over slices of four turns. The lag is that of the peak behind the rotor's mark, "
     "growing downwards: a rotor passes 90° more of it at a critical speed. Run-out is subtracted "
@@ -117,11 +118,17 @@ def report_header(saved: Saved, curves: Curves | None) -> str:
     )
 
 
+def _words_with_aliases(effect: str, others: Sequence[str]) -> str:
+    words = [label_words(x) for x in others]
+    return f"{label_words(effect)} (or {', '.join(words)})" if words else label_words(effect)
+
+
 def _headline(result: Mapping[str, Any]) -> str:
     admitted = [e for r in result_rounds(result) for e in r.get("admitted", ())]
     effects = result.get("missing", admitted)  # runs of older versions name what they admitted
     if effects:
-        return f"Missing: {', '.join(map(label_words, effects))}"
+        alike = {k: v for r in result_rounds(result) for k, v in (r.get("aliases") or {}).items()}
+        return f"Missing: {', '.join(_words_with_aliases(e, alike.get(e, ())) for e in effects)}"
     verdicts = {
         "effect_missing": "An effect is missing",
         "nothing_missing": "Nothing is missing",
