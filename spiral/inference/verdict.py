@@ -49,6 +49,7 @@ from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
+_SMALL_PART = 0.25  # of the error that is left: a sixteenth of its square
 
 _VERDICTS = {
     "effect_missing": "An effect is missing.",
@@ -126,18 +127,20 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
 
     Much is left where there are ``shortfalls``, or where random forces are to explain an error of
     free runs that is larger than the noise. Little is ``settings.smallest`` or less of that error
-    on unseen data, where it is not carried away, and beside random forces of errors some time ahead
-    as well.
+    on unseen data, where it is not carried away. What forces make of it no effect can take away,
+    and errors of several causes add up in squares: beside them little is what is less than
+    ``_SMALL_PART`` of the error that is left, also some time ahead.
     """
     first, last = rounds[0].comparison, rounds[-1].comparison
     if len(rounds) < 2 or is_free_run_carried_away(last):
         return False
-    fallen = [(first.test_error, last.test_error)]
-    if not shortfalls(last, settings):
-        if leaves_less_than_noise(last.test_error, last, settings):
-            return False
-        fallen += [(c.before, c.after) for c in changes(first.unseen, last.unseen)]
-    return all(after > (1 - settings.smallest) * before for before, after in fallen)
+    if shortfalls(last, settings):
+        return last.test_error > (1 - settings.smallest) * first.test_error
+    if leaves_less_than_noise(last.test_error, last, settings):
+        return False
+    fallen = [(c.before, c.after) for c in changes(first.unseen, last.unseen)]
+    fallen.append((first.test_error, last.test_error))
+    return all(before**2 <= (1 + _SMALL_PART**2) * after**2 for before, after in fallen)
 
 
 def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:

@@ -313,6 +313,21 @@ def test_estimates_scatter_as_their_standard_errors_say():
     assert abs(np.mean(sizes) - 1) < 0.01
 
 
+def test_a_value_that_begins_beyond_a_bound_is_not_held_there():
+    """Held, it would be put back at every step, and nothing else could move either."""
+    task, settings = task_of(record_of(3, samples=1000), values={"linear_stiffness.stiffness": 440})
+    noise = first_noise(task, 0.1)
+    free = maximise_likelihood(((task, settings),), KEYS, noise)
+    beyond = dict.fromkeys(KEYS, (-np.inf, np.inf)) | {"linear_damping.damping": (5.0, np.inf)}
+    assert task.values[task.keys.index("linear_damping.damping")] < 5.0
+    found = maximise_likelihood(((task, settings),), KEYS, noise, beyond)
+    assert found.values == pytest.approx(free.values, rel=1e-6)
+    within = beyond | {"linear_damping.damping": (0.0, 0.5 * TRUTH["linear_damping.damping"])}
+    held = task.with_values({"linear_damping.damping": 0.1})
+    found = maximise_likelihood(((held, settings),), KEYS, noise, within)
+    assert found.values["linear_damping.damping"] == 0.5 * TRUTH["linear_damping.damping"]
+
+
 def test_integration_steps_are_as_short_as_the_record_can_tell():
     """Hardly any noise: the stiffness is off by less than its error, and by far more without."""
     import spiral

@@ -166,18 +166,23 @@ def ahead(error):
     return Horizon("ahead", 5, 0.5, {"x": (error**2,) * 5})
 
 
-@pytest.mark.parametrize(("later", "verdict"), [(0.05, "unknown_structure"),
-                                                (0.04, "effect_missing")])  # fmt: skip
+@pytest.mark.parametrize(("before", "later", "verdict"), [
+    (0.21, 0.05, "unknown_structure"), (0.21, 0.04, "effect_missing"),
+    (0.23, 0.05, "effect_missing"),
+])  # fmt: skip
 def test_random_forces_that_are_to_explain_the_rest_excuse_no_effect_that_does_nothing(
-    later, verdict
+    before, later, verdict
 ):
-    """A free run off by 21 % before and after, and nothing better some time ahead either."""
-    seed = replace(POOR, test_error=0.21, unseen=(ahead(0.05),))
+    """A free run off by 21 % before and after, and nothing better some time ahead either.
+
+    From 23 to 20.8 % an effect of 9.8 % of the motion went: forces make what is left.
+    """
+    seed = replace(POOR, test_error=before, unseen=(ahead(0.05),))
     pushed = replace(GOOD, test_error=0.208, random={"force.observed": 0.1}, disturbed=0.11,
                      unseen=(ahead(later),))  # fmt: skip
     given, words, _ = said(rounds(pushed, seed), "whiteness")
     assert given == verdict
-    assert ("explains little of it" in words) == (later == 0.05)
+    assert ("explains little of it" in words) == (verdict == "unknown_structure")
 
 
 def test_a_fit_that_did_not_converge_is_not_judged():

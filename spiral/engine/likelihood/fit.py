@@ -178,7 +178,8 @@ def maximise_likelihood(
     ----------
     prepared : records at the values to start from; tracked parameters are found by the filter.
     keys : the parameters that move, none of them tracked.
-    bounds : lowest and highest values by name.
+    bounds : lowest and highest values by name. A value that begins beyond one of them (a time
+        before zero, taken from a look-alike) is not held by it: no step would rise.
     tune : whether the noise moves too.
     rough : ends where a step is worth less than ``ROUGH`` a reading. A model that lacks something
         creeps along a valley of the likelihood long after that.
@@ -190,7 +191,8 @@ def maximise_likelihood(
     """
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     still = not (keys and differences)  # slopes are not made anew
-    search = _Search(keys, bounds or {}, masks, tune, enough, rough, still)
+    open_ended = _bounds_around(prepared, keys, bounds or {})
+    search = _Search(keys, open_ended, masks, tune, enough, rough, still)
     parts = predict_cases([(prepared, noise)], keys, keep=tune)[0]
     height = log_likelihood(parts, masks)
     kept = kept if kept is not None and kept.match_records(parts) else SlopeCache()
@@ -205,6 +207,17 @@ def maximise_likelihood(
         if done or (gain > 0 and at.log_likelihood + left * gain < least):
             break
     return at
+
+
+def _bounds_around(
+    prepared: FilterInputs, keys: Sequence[str], bounds: Mapping[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
+    """Bounds without those that the values lie beyond."""
+    task, around = prepared[0][0], dict(bounds)
+    for key in (k for k in keys if k in bounds):
+        value, (low, high) = task.values[task.keys.index(key)], bounds[key]
+        around[key] = (low if value >= low else -np.inf, high if value <= high else np.inf)
+    return around
 
 
 def add_standard_errors(at: MaximumLikelihood) -> MaximumLikelihood:
