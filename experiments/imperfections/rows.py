@@ -211,7 +211,7 @@ ROWS: dict[str, Imperfection] = {
     "skew": Imperfection(("delay", "late", "skew"), ("delay",), before=late, last=True),
     "input_noise_1": Imperfection(("input",), input_noise=0.01),
     "input_noise_5": Imperfection(("input",), input_noise=0.05),
-    "input_late": Imperfection(("delay", "late", "early"), ("delay",), input_late=1),
+    "input_late": Imperfection(("delay", "late", "early"), ("delay", "input_delay"), input_late=1),
     "spikes_0.1": Imperfection(_OUTLIERS, after=partial(spiked, share=0.001), spoils=True),
     "spikes_1": Imperfection(_OUTLIERS, after=partial(spiked, share=0.01), spoils=True),
     "dropouts": Imperfection((*_OUTLIERS, "held", "repeat"), after=held, spoils=True),
