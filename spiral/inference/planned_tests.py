@@ -15,7 +15,7 @@ from spiral.inference.problem import Problem
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.parameter import Input
-from spiral.types.record import Record
+from spiral.types.record import Array, Record
 from spiral.types.source import Source
 
 MakeSource = Callable[[Mapping[str, Any]], Source]
@@ -102,15 +102,13 @@ def _waveform_drives(
     asked for: a heater does not cool.
     """
     rest = {
-        i.name: {"constant": _input_mean(problem, i.name)}
+        i.name: {"constant": float(np.mean(_input_values(problem, i.name)))}
         for i in problem.model.system.inputs
         if i.derived_from is None and i.name != item.name
     }
-    size, mean, band = (
-        _input_deviation(problem, item.name),
-        _input_mean(problem, item.name),
-        _occupied_band(problem, item),
-    )
+    values, band = _input_values(problem, item.name), _occupied_band(problem, item)
+    size, mean = float(np.std(values)), float(np.mean(values))
+    one_sign = not wishes.amplitudes and (values.min() >= 0 or values.max() <= 0)
     offset = {"offset": float(f"{mean:.4g}")} if abs(mean) > 0.05 * size else {}
     top = 0.45 / problem.records[0].dt
     bands = wishes.bands or (band, (band[0], min(2 * band[1], top)))
@@ -119,7 +117,7 @@ def _waveform_drives(
         wishes.forms or ("noise", "chirp"), wishes.amplitudes or (0.5, 1.0, 2.0), bands
     ):
         level = factor * size * (1.0 if form in _RANDOM else np.sqrt(2))
-        if not wishes.amplitudes and _keeps_its_sign(problem, item.name):
+        if one_sign:
             level = min(level, abs(mean) / (_PEAK if form in _RANDOM else 1.0))
         level = float(f"{level:.4g}")
         edges = [float(f"{low:.3g}"), float(f"{high:.3g}")]
@@ -128,17 +126,9 @@ def _waveform_drives(
     return list({words: (words, given) for words, given in drives}.values())
 
 
-def _keeps_its_sign(problem: Problem, name: str) -> bool:
-    values = np.concatenate([r.inputs[name] for r in problem.records])
-    return bool(values.min() >= 0 or values.max() <= 0)
-
-
-def _input_mean(problem: Problem, name: str) -> float:
-    return float(np.mean(np.concatenate([r.inputs[name] for r in problem.records])))
-
-
-def _input_deviation(problem: Problem, name: str) -> float:
-    return float(np.std(np.concatenate([r.inputs[name] for r in problem.records])))
+def _input_values(problem: Problem, name: str) -> Array:
+    """An input of all records, one after the other."""
+    return np.concatenate([r.inputs[name] for r in problem.records])
 
 
 def _occupied_band(problem: Problem, item: Input) -> tuple[float, float]:

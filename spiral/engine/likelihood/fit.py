@@ -25,6 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from spiral.engine.filter.task import FilterInput
 from spiral.engine.leastsquares import Fit, solve_triangle, triangle
 from spiral.engine.likelihood.information import regression_rows, widening_factors
 from spiral.engine.likelihood.noise import NoiseModel, size_limits
@@ -191,8 +192,8 @@ def maximise_likelihood(
     """
     enough = ROUGH * sum(t.series.y.size for t, _ in prepared) if rough else _ENOUGH
     still = not (keys and differences)  # slopes are not made anew
-    open_ended = _bounds_around(prepared, keys, bounds or {})
-    search = _Search(keys, open_ended, masks, tune, enough, rough, still)
+    around = _bounds_around(prepared[0][0], bounds or {})
+    search = _Search(keys, around, masks, tune, enough, rough, still)
     parts = predict_cases([(prepared, noise)], keys, keep=tune)[0]
     height = log_likelihood(parts, masks)
     kept = kept if kept is not None and kept.match_records(parts) else SlopeCache()
@@ -210,14 +211,14 @@ def maximise_likelihood(
 
 
 def _bounds_around(
-    prepared: FilterInputs, keys: Sequence[str], bounds: Mapping[str, tuple[float, float]]
+    task: FilterInput, bounds: Mapping[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
     """Bounds without those that the values lie beyond."""
-    task, around = prepared[0][0], dict(bounds)
-    for key in (k for k in keys if k in bounds):
-        value, (low, high) = task.values[task.keys.index(key)], bounds[key]
-        around[key] = (low if value >= low else -np.inf, high if value <= high else np.inf)
-    return around
+    values = dict(zip(task.keys, task.values, strict=True))
+    return {
+        k: (low if values[k] >= low else -np.inf, high if values[k] <= high else np.inf)
+        for k, (low, high) in bounds.items()
+    }
 
 
 def add_standard_errors(at: MaximumLikelihood) -> MaximumLikelihood:

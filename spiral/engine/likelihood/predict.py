@@ -109,8 +109,9 @@ def predict_readings(
     more = samples if carry else 0
     first = np.concatenate([settings.start, task.values[tracked]])
     constant, states = _is_transition_constant(task, settings), len(task.states)
-    same = constant and not len(tracked)
-    changing = 0 if same or kept * states * len(first) > _MOST_KEPT else kept
+    changes = len(tracked) > 0 or not constant
+    few = samples * states * len(first) <= _MOST_KEPT
+    changing = samples if keep and changes and few else 0
     arrays = (
         np.zeros((samples, m)), np.zeros((samples, m)), np.zeros((samples, m, len(keys))),
         np.zeros((kept, size)), np.zeros((more, size, size)), np.zeros((kept, m, size)),

@@ -23,7 +23,7 @@ from spiral.engine.threads import THREADS
 from spiral.physics.outside import fmi
 from spiral.physics.outside.program import CalledProgram
 from spiral.types.cache import kept
-from spiral.types.errors import ConfigError, InputError
+from spiral.types.errors import ConfigError, InputError, similar_files
 from spiral.types.identifier import identifier
 
 INSTANCES = THREADS + 2  # threads that share a step, and one that asks beside them
@@ -74,7 +74,10 @@ def file_sha256(path: str) -> str:
     try:
         return hashlib.sha256(Path(path).expanduser().read_bytes()).hexdigest()
     except OSError as error:
-        raise InputError(f"FMU {path!r}: {error.strerror}", "a file that can be read") from error
+        raise InputError(
+            f"FMU {path!r}: {error.strerror}", "a file that can be read",
+            similar_files(Path(path).expanduser()) or "check the path",
+        ) from error  # fmt: skip
 
 
 @kept(16)

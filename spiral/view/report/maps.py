@@ -24,6 +24,7 @@ from spiral.view.report.style import (
     decibel_map,
     decibels,
     draw_line,
+    have_one_unit,
     scale_to_prefix,
 )
 
@@ -115,9 +116,11 @@ def amplitude_map(curves: Curves, record: int) -> go.Figure | None:
         return None
     channels = curves.meta["channels"]
     sigma = np.array(list(curves.meta["records"][record]["sigma"].values()))
-    factor, unit = scale_to_prefix(channels[0]["unit"], y)
-    if len({c["unit"] for c in channels}) > 1:  # readings of several units: each by its deviation
-        y, factor, unit = y / np.std(y, axis=0), 1.0, "deviations"
+    factor, unit = 1.0, "deviations"
+    if have_one_unit(channels):
+        factor, unit = scale_to_prefix(channels[0]["unit"], y)
+    else:
+        y = y / np.std(y, axis=0)
     columns = 3 if phase is not None else 2
     figure = blank_figure(1, columns, 360, horizontal_spacing=0.06, shared_yaxes=True)
     for model in models:

@@ -18,6 +18,7 @@ from spiral.view.report.style import (
     blank_figure,
     draw_band,
     draw_line,
+    have_one_unit,
     scale_to_prefix,
 )
 
@@ -75,7 +76,7 @@ def orbit(curves: Curves, record: int) -> go.Figure | None:
     phase = curves.get_input(record, "phase")
     if y is None or free is None or not np.isfinite(free).all():
         return None
-    if len(channels) != 2 or len({c["unit"] for c in channels}) != 1:
+    if len(channels) != 2 or not have_one_unit(channels):
         return None
     size = np.convolve(np.sum((y - y.mean(axis=0)) ** 2, axis=1), np.ones(64), "same")
     middle = int(np.argmax(size))

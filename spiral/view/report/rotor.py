@@ -18,6 +18,7 @@ from spiral.view.report.style import (
     axis_title,
     blank_figure,
     draw_line,
+    have_one_unit,
     scale_to_prefix,
 )
 
@@ -147,7 +148,7 @@ def whirl(curves: Curves, record: int) -> go.Figure | None:
     """Full spectrum, and its cascade: forward whirl to the right, backward to the left."""
     y, speed = curves.get(record, "y"), curves.get_input(record, "speed")
     channels, about = curves.meta["channels"], curves.meta["records"][record]
-    if y is None or len(channels) != 2 or speed is None:
+    if y is None or len(channels) != 2 or not have_one_unit(channels) or speed is None:
         return None
     backward, dt = bool(np.mean(speed) < 0), about["dt"]
     factor, unit = scale_to_prefix(channels[0]["unit"], y)

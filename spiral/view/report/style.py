@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -41,6 +41,11 @@ def scale_to_prefix(unit: str, *values: Array) -> tuple[float, str]:
         return 1.0, typeset_unit(unit)
     size, prefix = next((p for p in reversed(_PREFIXES) if largest >= p[0]), _PREFIXES[0])
     return 1.0 / size, typeset_unit(f"{prefix}{first}{rest}")
+
+
+def have_one_unit(channels: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether all channels are in one unit, so that their readings can be put together."""
+    return len({c["unit"] for c in channels}) == 1
 
 
 def typeset_unit(unit: str) -> str:

@@ -88,7 +88,7 @@ class _LawStart:
 
 @dataclass(frozen=True)
 class PromisingChanges:
-    """``promising_changes`` of a study beside any model, computed once for each.
+    """Changes of parameters that score best beside any model of a study, computed once for each.
 
     Laws and curves ask for them beside the same model.
     """
@@ -102,7 +102,7 @@ class PromisingChanges:
         for fit, changes in self.known:
             if fit is base:
                 return changes
-        self.known.append((base, promising_changes(self.assembly, base, self.select)))
+        self.known.append((base, _promising_changes(self.assembly, base, self.select)))
         return self.known[-1][1]
 
 
@@ -137,7 +137,9 @@ def find_named_law(
     return None
 
 
-def promising_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> tuple[Effect, ...]:
+def _promising_changes(
+    assembly: Assembly, base: LikelihoodFit, select: Masks
+) -> tuple[Effect, ...]:
     """Changes of parameters with variables, of every form, where the plain forms score best.
 
     Plain forms have no shapes to be searched: a line, a parabola, a power and an exponential show
