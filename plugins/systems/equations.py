@@ -11,6 +11,7 @@ from spiral.types.parameter import State
 from spiral.types.port import Port
 from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem
+from spiral.types.units import quantity
 
 EXAMPLE = """\
 title: A mass on a spring
@@ -150,7 +151,7 @@ class Equations(MechanicalSystem):
             values |= {"t": u.time, "time": u.time}
         quantities = any(hasattr(value, "dimensionality") for value in values.values())
         for name, value, unit in self.form.definition.constants:
-            values[name] = _with_unit(value, unit) if quantities else value
+            values[name] = quantity(unit, value) if quantities else value
         return values
 
     def _formula_port(self, name, texts):
@@ -177,12 +178,6 @@ def _compute_formulas(texts, values):
     from spiral.physics.formulas import syntax
 
     return [syntax.compute(text, values) for text in texts]
-
-
-def _with_unit(value, unit):
-    from spiral.types.units import registry
-
-    return registry().Quantity(value, unit.replace("^", "**"))
 
 
 @kept(32)

@@ -9,7 +9,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import Port
 from spiral.types.system import MechanicalSystem
-from spiral.types.units import registry
+from spiral.types.units import quantity
 
 WIDTH = 0.01
 """Of a joint's velocity, over which its friction changes sign: rad/s, m/s."""
@@ -148,7 +148,7 @@ class Robot(MechanicalSystem):
         form = self.form
         at, speeds = ([getattr(x, j.name) for j in form.joints] for x in (q, v))
         units = _has_units(at[0])
-        one = [registry().Quantity(1.0, unit) for unit in ("m", "s", "kg*m**2")]
+        one = [quantity(unit, 1.0) for unit in ("m", "s", "kg*m**2")]
         sizes = BaseUnits(*one) if units else BaseUnits()
         if still:
             speeds = [_with_unit_like(0, f"{j.units[0]}/s", at[0]) for j in form.joints]
@@ -230,7 +230,7 @@ def _has_units(value):
 
 def _with_unit_like(value, unit, beside):
     """A number, with its unit where what it stands beside has one."""
-    return registry().Quantity(value, unit.replace("^", "**")) if _has_units(beside) else value
+    return quantity(unit, value) if _has_units(beside) else value
 
 
 def _two_link_example():

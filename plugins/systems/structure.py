@@ -8,7 +8,7 @@ from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import Port
 from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem
-from spiral.types.units import short_form
+from spiral.types.units import quantity, short_form
 
 
 class Structure(MechanicalSystem):
@@ -144,7 +144,7 @@ class Structure(MechanicalSystem):
         units = self.form.units
         per = [[f"({_unit_of_force(a)})*s^2/({b})" for b in units] for a in units]
         return [
-            [v * _unit_quantity(u) for v, u in zip(*rows, strict=True)]
+            [v * quantity(u, 1.0) for v, u in zip(*rows, strict=True)]
             for rows in zip(values, per, strict=True)
         ]
 
@@ -177,7 +177,7 @@ class Structure(MechanicalSystem):
                 (
                     value
                     * (
-                        _unit_quantity(f"({own})/({_unit_of_force(unit)})")
+                        quantity(f"({own})/({_unit_of_force(unit)})", 1.0)
                         if _have_any_units([push])
                         else 1
                     )
@@ -214,9 +214,8 @@ class Structure(MechanicalSystem):
         per = "" if getattr(factor, "dimensionless", True) else "*s/rad"
         for value, state, unit in zip(matrix[row], states, self.form.units, strict=True):
             if value and _have_any_units([state]):
-                yield (
-                    value * _unit_quantity(f"({own})*{'s' if kind else '1'}/({unit}){per}") * state
-                )
+                unit_of_factor = f"({own})*{'s' if kind else '1'}/({unit}){per}"
+                yield value * quantity(unit_of_factor, 1.0) * state
             elif value:
                 yield float(value) * state
 
@@ -240,12 +239,6 @@ def _node_difference(first, second):
 
 def _have_any_units(values):
     return any(hasattr(v, "dimensionality") for v in values)
-
-
-def _unit_quantity(unit):
-    from spiral.types.units import registry
-
-    return registry().Quantity(1.0, unit.replace("^", "**"))
 
 
 def _chain_example():

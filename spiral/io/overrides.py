@@ -168,4 +168,7 @@ def _unknown_key_error(item: Assignment, here: str, known: tuple[str, ...]) -> C
     word = item.path[len(here.split(".")) if here else 0]
     what = f"a field of {here}" if here else "a key of the configuration"
     expected = f"{what}: {', '.join(names)}" if names else f"nothing here: {here} has no fields"
-    return ConfigError(f"{'.'.join(item.path)!r}", expected, did_you_mean(word, names))
+    hint = did_you_mean(word, names)
+    if here in ("system", "effect"):
+        hint += f"; the first value of a parameter is values.{'.'.join(item.path)}={item.value}"
+    return ConfigError(f"{'.'.join(item.path)!r}", expected, hint)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spiral.inference.reconstruction.estimate import BAND
-from spiral.types.errors import ConfigError, InputError, did_you_mean
+from spiral.types.errors import ConfigError, InputError, SpiralError, did_you_mean
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -114,13 +114,30 @@ def _write_frame(frame: pd.DataFrame, path: Path) -> None:
         raise InputError(text, "a file that can be written") from error
 
 
+def _own_fields(system: System) -> dict[str, Any]:
+    """The fields that tell a system from the usual one of its class; none that follows from others.
+
+    As the text of a system's file follows from the file's path.
+    """
+    from spiral.types.fields import defaults_of, plain
+
+    usual = defaults_of(type(system))
+    own = {k: v for k, v in plain(system).items() if k != "name" and v != usual[k]}
+    for name in list(own):
+        rest = {k: getattr(system, k) for k in own if k != name}
+        try:
+            follows = bool(rest) and type(system)(**rest) == system
+        except SpiralError:
+            follows = False
+        if follows:
+            own.pop(name)
+    return own
+
+
 def _read_back_overrides(
     record: Record, system: System, file: str, measured: dict[str, Any]
 ) -> tuple[str, ...]:
-    from spiral.types.fields import defaults_of, plain
-
-    usual, name = defaults_of(type(system)), system.plugin_name()
-    own = {k: v for k, v in plain(system).items() if k != "name" and v != usual[k]}
+    own, name = _own_fields(system), system.plugin_name()
     channels = ", ".join(f"{c}: {c}" for c in record.channels)
     inputs = ", ".join(f"{i}: {i}" for i in measured)
     noise = ", ".join(f"{c}: {s:.6g}" for c, s in record.noise.items())

@@ -50,13 +50,17 @@ class PluginError(SpiralError):
 
 
 def near_misses(word: str, known: Iterable[str], count: int = 3) -> list[str]:
-    """Names close to ``word``: same prefix first, then by edit distance."""
+    """Names close to ``word``: ``OWNER.word``, then the same prefix, then by edit distance."""
     names = sorted(set(known))
     low = word.lower()
+    owned = [n for n in names if n.lower().endswith("." + low)]
     prefixed = [n for n in names if n.lower().startswith(low) or low.startswith(n.lower())]
     inside = [n for n in names if len(low) > 3 and low in n.lower()]
     close = difflib.get_close_matches(word, names, n=count, cutoff=0.55)
-    return list(dict.fromkeys([*prefixed, *close, *inside]))[:count]
+    if not close and "." not in word:
+        last = {n.rpartition(".")[2]: n for n in reversed(names)}
+        close = [last[x] for x in difflib.get_close_matches(word, last, n=count, cutoff=0.75)]
+    return list(dict.fromkeys([*owned, *prefixed, *close, *inside]))[:count]
 
 
 def similar_files(place: Path) -> str:

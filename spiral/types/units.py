@@ -29,8 +29,16 @@ from spiral.types.rates import per_second
 from spiral.types.system import MechanicalSystem, System
 
 _POWER = re.compile(r"(?<=[/* ])([A-Za-zµΩ]+)(-?\d)\b")  # beside another unit: T2 may be a name
+_LENGTH_POWER = re.compile(r"^([kcdmuµ]?m)([23])\b")
+_TOGETHER = re.compile(
+    r"(?<!\w)(?:([kMGmuµn]?N|kg)m(?:(?:\*\*)?(-?\d))?|([kMGmuµn]?N)m(s)|([kMGmuµn]?(?:[NVAWJCKT]|Pa))(s))(?!\w)"
+)
+_SUPERSCRIPTS = str.maketrans({"²": "**2", "³": "**3", "·": "*", "⋅": "*"})
 _GRAVITY = {"g": 9.80665, "mg": 9.80665e-3}  # of an acceleration, where pint reads grams
-_PER_TURN = {"rpm": 2 * math.pi / 60, "hz": 2 * math.pi, "rps": 2 * math.pi, "1/s": 2 * math.pi}
+_PER_TURN = {"hz": 2 * math.pi, "1/s": 2 * math.pi, "rpm": 2 * math.pi / 60, "rps": 2 * math.pi}
+_PER_TURN |= {f"{turn}/min": 2 * math.pi / 60 for turn in ("1", "u", "r", "rev")}
+_PER_TURN |= {f"{turn}/s": 2 * math.pi for turn in ("u", "r", "rev")}
+_ALIASES = ("ohm = Ohm", "turn = rev", "torr = Torr")
 
 
 @lru_cache(maxsize=1)
@@ -39,9 +47,12 @@ def registry() -> Any:
     import pint
 
     try:
-        return pint.UnitRegistry(cache_folder=":auto:")
+        units = pint.UnitRegistry(cache_folder=":auto:")
     except OSError:
-        return pint.UnitRegistry()
+        units = pint.UnitRegistry()
+    for name in _ALIASES:
+        units.define(f"@alias {name}")
+    return units
 
 
 @lru_cache(maxsize=512)
@@ -83,8 +94,20 @@ def base_form(unit: str) -> tuple[float, dict[str, int]] | None:
 
 
 def spelled(unit: str) -> str:
-    """A unit as people write it (``m/s^2``, ``m/s2``, ``m s-2``) in the notation of pint."""
-    return _POWER.sub(r"\1**\2", unit.replace("^", "**"))
+    """A unit as people write it (``m/s^2``, ``m/s2``, ``m s-2``, ``Nm``) in the notation of pint.
+
+    To pint ``Nm`` is a yarn's length for a mass, and ``As`` an ampere in the plural.
+    """
+    text = _TOGETHER.sub(_apart, unit.translate(_SUPERSCRIPTS).replace("^", "**"))
+    return _POWER.sub(r"\1**\2", _LENGTH_POWER.sub(r"\1**\2", text))
+
+
+def _apart(match: re.Match[str]) -> str:
+    """``Nm`` -> ``(N*m)``, ``Nms`` -> ``(N*m*s)``, ``kgm2`` -> ``(kg*m**2)``."""
+    first, power, moment, _, impulse, _ = match.groups()
+    if moment:
+        return f"({moment}*m*s)"
+    return f"({impulse}*s)" if impulse else f"({first}*m**{power or 1})"
 
 
 def _parse(unit: str) -> Any:
@@ -213,7 +236,7 @@ def check_system_units(system: MechanicalSystem) -> None:
     for i, entry in enumerate(system.injections[: len(coordinates)]):
         own = [("force", force[i])]
         own += [
-            (f"mass row {i}", m * _quantity(per_second(c.unit, 2)))
+            (f"mass row {i}", m * quantity(per_second(c.unit, 2)))
             for m, c in zip(mass[i], coordinates, strict=True)
             if not _is_zero(m)
         ]
@@ -282,10 +305,10 @@ def _is_zero(value: Any) -> bool:
 
 
 def _input_quantities(system: System) -> SimpleNamespace:
-    u = SimpleNamespace(time=_quantity("s"))
+    u = SimpleNamespace(time=quantity("s"))
     for item in system.inputs:
-        setattr(u, item.name, _quantity(item.unit))
-        setattr(u, item.rate.name, _quantity(item.rate.unit))
+        setattr(u, item.name, quantity(item.unit))
+        setattr(u, item.rate.name, quantity(item.rate.unit))
     return u
 
 
@@ -309,28 +332,29 @@ def _quantities(
     Where all were of one size, differences of products (L M - N^2) would be zero.
     """
     return SimpleNamespace(
-        **{i.name: _quantity(of(i.unit), 1.25 + k / 97) for k, i in enumerate(items)}
+        **{i.name: quantity(of(i.unit), 1.25 + k / 97) for k, i in enumerate(items)}
     )
 
 
 def _quantities_at(port: Port, items: Iterable[State | Parameter]) -> SimpleNamespace:
     """One of each by its name, in its unit at a port; a tuple where there is one for each axis."""
-    each = {i.name: (_quantity(port.unit(i.unit)), i.per_axis) for i in items}
+    each = {i.name: (quantity(port.unit(i.unit)), i.per_axis) for i in items}
     return SimpleNamespace(
         **{k: (one,) * len(port.axes) if per_axis else one for k, (one, per_axis) in each.items()}
     )
 
 
-def _quantity(unit: str, size: float = 1.25) -> Any:
+def quantity(unit: str, size: float = 1.25) -> Any:
+    """A number with its unit, as pint has it; ``size`` is one at which hardly a formula is zero."""
     return registry().Quantity(size, _parse(unit) if unit else "")
 
 
 def _evaluate_effect(system: System, effect: Effect, port: Port) -> list[tuple[str, Any, str]]:
     """(what it is, its value with units, the unit it must have) of all that an effect gives."""
     count, unit = len(port.axes), port.position_unit
-    position = tuple(_quantity(unit, 1.0 + 0.25 * i) for i in range(count))
-    velocity = tuple(_quantity(per_second(unit), 0.5 + 0.25 * i) for i in range(count))
-    acceleration = tuple(_quantity(per_second(unit, 2)) for _ in range(count))
+    position = tuple(quantity(unit, 1.0 + 0.25 * i) for i in range(count))
+    velocity = tuple(quantity(per_second(unit), 0.5 + 0.25 * i) for i in range(count))
+    acceleration = tuple(quantity(per_second(unit, 2)) for _ in range(count))
     own, p = (_quantities_at(port, items) for items in (effect.states, effect.parameters))
     u = _input_quantities(system)
     at = At(position, velocity, own, acceleration)
@@ -347,7 +371,7 @@ def _evaluate_effect(system: System, effect: Effect, port: Port) -> list[tuple[s
     elif isinstance(effect, StateFlow):
         values += [("effect", value, port.force_unit) for value in effect.flow(at, u, p)]
     elif isinstance(effect, FlowEffect):
-        x = SimpleNamespace(**{s.name: _quantity(s.unit) for s in system.states}, own=own)
+        x = SimpleNamespace(**{s.name: quantity(s.unit) for s in system.states}, own=own)
         units = {i.name: i.unit for i in system.injections}
         values += [("effect", value, units[name]) for name, value in effect.flow(x, u, p).items()]
     return values
@@ -368,10 +392,10 @@ def _own_rates(
 def _check_dimension(what: str, value: Any, expected: str) -> None:
     if _is_zero(value):
         return
-    quantity = registry().Quantity(value) if not hasattr(value, "dimensionality") else value
-    if quantity.dimensionality != _parse(expected).dimensionality:
+    given = registry().Quantity(value) if not hasattr(value, "dimensionality") else value
+    if given.dimensionality != _parse(expected).dimensionality:
         raise PluginError(
-            f"{what} gives {quantity.units:~C}",
+            f"{what} gives {given.units:~C}",
             f"{expected}",
             "check the units of its parameters",
         )

@@ -360,6 +360,18 @@ def test_a_simulated_file_reads_back(capsys, steps, ending):
     assert record.noise["x"] > 0
 
 
+def test_what_reads_a_file_back_names_the_systems_file_and_not_its_text(capsys, tmp_path):
+    (tmp_path / "own.yaml").write_text(
+        "equations: [\"m*x'' + k*x = F\"]\nstates: {x: m}\ninputs: {F: N}\n"
+        "parameters: {m: 2.0 kg, k: 4e4 N/m}\nfree: [k]\nobserved: [x]\n"
+    )
+    system = f"system={tmp_path / 'own.yaml'}"
+    given = (system, "record=simulation", "record.inputs={F: {constant: 1}}", "record.duration=0.5")
+    _, result = run_json(capsys, "simulate", *given, "--out", str(tmp_path / "made.csv"))
+    own = [word for word in result["read_back"] if word.startswith("system")]
+    assert own == ["system=equations", f"system.path={tmp_path / 'own.yaml'}"]
+
+
 def test_simulate_says_how_to_read_it_back(capsys, steps):
     import shlex
 

@@ -200,7 +200,7 @@ def parse_sections(text: str) -> dict[str, Any]:
     import yaml
 
     try:
-        sections = yaml.safe_load(text)
+        sections = yaml.load(text, Loader=_unique_keys_loader())
     except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         place = f", line {mark.line + 1}" if mark else ""
@@ -212,6 +212,28 @@ def parse_sections(text: str) -> dict[str, Any]:
         raise ConfigError("equations of a system without sections", f"{', '.join(SECTIONS)}",
                           "equations: [\"m*x'' + k*x = F\"]")  # fmt: skip
     return sections
+
+
+@lru_cache(maxsize=1)
+def _unique_keys_loader() -> Any:
+    """YAML's safe loader, to which a key that stands twice is an error, as YAML 1.2 has it."""
+    import yaml
+
+    class UniqueKeys(yaml.SafeLoader):
+        def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+            seen: set[str] = set()
+            for key, _ in node.value:
+                if isinstance(key, yaml.ScalarNode):
+                    if key.value in seen:
+                        line = key.start_mark.line + 1
+                        raise ConfigError(
+                            f"equations of a system, line {line}: a second {key.value!r}",
+                            "each name once",
+                        )
+                    seen.add(key.value)
+            return super().construct_mapping(node, deep)
+
+    return UniqueKeys
 
 
 def value_and_unit(name: str, given: Any) -> tuple[float | None, str]:
@@ -282,8 +304,10 @@ def _valid_unit(name: str, unit: Any) -> str:
     try:
         short_form(text)
     except Exception as error:  # pint's parser raises what Python's tokenizer does
+        unknown = " and ".join(getattr(error, "unit_names", ()))  # of pint's UndefinedUnitError
+        about = f": no {unknown} is known" if unknown else ""
         raise ConfigError(
-            f"unit {text!r} of {name}", "a unit such as 'm', 'N*s/m', 'rad/s', 'V'"
+            f"unit {text!r} of {name}{about}", "a unit such as 'm', 'N*s/m', 'rad/s', 'V'"
         ) from error
     return text
 

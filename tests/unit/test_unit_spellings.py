@@ -1,0 +1,61 @@
+"""Units as engineers write them, in the sense in which they mean them."""
+
+from __future__ import annotations
+
+import pytest
+
+from spiral.physics.formulas.definition import parse_sections
+from spiral.types.errors import ConfigError, near_misses
+from spiral.types.units import base_form, conversion
+
+WRITTEN = [
+    ("Nm", "N*m"), ("kNm", "kN*m"), ("mNm", "mN*m"), ("Nm/rad", "N*m/rad"),
+    ("Nms/rad", "N*m*s/rad"), ("Nm·s/rad", "N*m*s/rad"), ("rad/Nm", "rad/(N*m)"),
+    ("Ns/m", "N*s/m"), ("Vs/rad", "V*s/rad"), ("As", "A*s"), ("Js", "J*s"), ("Pas", "Pa*s"),
+    ("kgm2", "kg*m**2"), ("kgm²", "kg*m**2"), ("kgm^2/s", "kg*m**2/s"), ("kg*m²", "kg*m**2"),
+    ("m3/s", "m**3/s"), ("mm2", "mm**2"), ("m3 s-1", "m**3/s"), ("kOhm", "kohm"),
+    ("m/s2", "m/s**2"), ("1/s", "1/s"), ("rev", "turn"), ("Torr", "torr"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("written", "meant"), WRITTEN)
+def test_a_unit_written_together_is_a_product(written, meant):
+    factor, powers = base_form(written)
+    expected, powers_of_expected = base_form(meant)
+    assert (factor, powers) == (pytest.approx(expected), powers_of_expected)
+
+
+@pytest.mark.parametrize("unit", ["m", "mm", "nm", "ms", "s", "kg", "min", "N/m", "mN", "Pa", "km"])
+def test_units_of_one_word_stay_what_they_are(unit):
+    assert conversion(unit, unit, "x") == (1.0, 0.0)
+    assert base_form(unit) != base_form(f"{unit}*s")
+
+
+@pytest.mark.parametrize("unit", ["rpm", "U/min", "1/min", "rev/min", "r/min"])
+def test_turns_per_minute_in_every_spelling(unit):
+    assert conversion(unit, "rad/s", "speed")[0] == pytest.approx(0.10471975511965977)
+
+
+def test_an_unknown_unit_is_named():
+    from spiral.physics.formulas.definition import definition_of
+
+    text = """
+    equations: ["m*x'' + k*x = F"]
+    states: {x: m}
+    inputs: {F: N}
+    parameters: {m: 2.0 kgg, k: 400 N/m}
+    observed: [x]
+    """
+    with pytest.raises(ConfigError, match="'kgg' of m: no kgg is known"):
+        definition_of(text)
+
+
+def test_a_key_that_stands_twice_is_refused_with_its_line():
+    with pytest.raises(ConfigError, match="line 3: a second 'k'"):
+        parse_sections("states: {x: m}\nparameters: {m: 2.0 kg,\n k: 1 N/m, k: 2 N/m}\n")
+
+
+def test_a_name_without_its_owner_is_found():
+    known = ["system.k_1", "system.k_2", "cubic_stiffness.k_1x"]
+    assert near_misses("k_1", known)[0] == "system.k_1"
+    assert near_misses("k1", known)[0] in {"system.k_1", "system.k_2"}
