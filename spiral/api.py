@@ -258,7 +258,9 @@ def estimate(
     ----------
     observer : ``ekf``, ``ukf``, ... by name, with fields, or as an object.
     uncertain : what is not known exactly, by name or pattern, as a standard deviation over the
-        value (of an angle: rad): ``{"bearing.*": 0.2}``; or ``{NAME: {"absolute": 3}}``.
+        value (of an angle: rad): ``{"bearing.*": 0.2}``; or ``{NAME: {"absolute": 3}}``. Where it
+        is left out, a fitted model's standard errors enter the bands; ``{}`` takes its values as
+        exact.
     """
     from spiral.inference.reconstruction.estimate import estimate as step
 

@@ -216,6 +216,7 @@ def model_data(model: Model) -> dict[str, Any]:
         "effects": [plain(e) for e in model.effects],
         "values": dict(model.values),
         "errors": dict(model.errors),
+        "correlations": {k: dict(row) for k, row in model.correlations.items()},
         "freed": list(model.freed),
         "fixed": list(model.fixed),
         "expressions": definitions_of(model.effects),
@@ -246,6 +247,7 @@ def rebuild_model(saved: Mapping[str, Any], registry: Registry) -> Model:
         freed=tuple(saved["freed"]),
         fixed=tuple(saved["fixed"]),
         errors=_known_numbers(saved["errors"]),
+        correlations={k: _known_numbers(row) for k, row in saved.get("correlations", {}).items()},
     )
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spiral.inference.reconstruction.estimate import BAND
 from spiral.types.errors import ConfigError, InputError, SpiralError, did_you_mean
 
 if TYPE_CHECKING:
@@ -61,30 +60,18 @@ def write_record(
 def write_states(
     part: RecordReconstruction, file: str, number: int | None = None
 ) -> tuple[WrittenTable, ...]:
-    """Time, and of every state the estimate with its 95 % band: NAME, NAME_low, NAME_high.
+    """Write the series of a reconstruction (``RecordReconstruction.series``).
 
-    A file without an ending is written twice, as CSV and as Parquet. Samples after a divergence are
-    left out; a state that the observer does not give has no columns.
+    A file without an ending is written twice, as CSV and as Parquet.
 
     Raises
     ------
     ConfigError : an unknown ending. InputError : a file that cannot be written.
     """
-    import pandas as pd
-
     given = Path(file).expanduser()
     targets = [f"{given}{s}" for s in _SUFFIXES] if not given.suffix else [file]
-    stop = part.stable
-    columns = {"time": part.record.time[:stop]}
-    for name in part.reconstruction.names:
-        mean, deviation = (v[:stop] for v in part.reconstruction.state(name))
-        if pd.isna(mean).all():
-            continue
-        columns[name] = mean
-        columns[f"{name}_low"] = mean - BAND * deviation
-        columns[f"{name}_high"] = mean + BAND * deviation
-    frame = pd.DataFrame(columns)
-    units = {"time": "s", **{n: part.unit(n) for n in part.reconstruction.names if n in columns}}
+    frame = part.series()
+    units = {"time": "s", **{n: part.unit(n) for n in part.reconstruction.names if n in frame}}
     written = []
     for target in targets:
         path = _output_path(target, number)

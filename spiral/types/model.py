@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -47,6 +47,7 @@ class Model:
     freed : shape parameters and known system parameters that a fit may move as well.
     fixed : parameters that no fit moves.
     errors : standard errors by full name, after a fit.
+    correlations : of the errors, by pairs of full names, each once; zero where left out.
     """
 
     system: System
@@ -55,6 +56,7 @@ class Model:
     freed: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
     errors: Mapping[str, float] = field(default_factory=dict)
+    correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         rows = [
@@ -121,6 +123,7 @@ class Model:
             effects=(*self.effects, effect),
             values={**self.values, **(values or {})},
             errors={},
+            correlations={},
         )
 
     def without(self, label: str) -> Model:
@@ -138,7 +141,19 @@ class Model:
             freed=tuple(k for k in self.freed if k not in gone),
             fixed=tuple(k for k in self.fixed if k not in gone),
             errors={},
+            correlations={},
         )
+
+    def covariance(self, keys: Sequence[str]) -> np.ndarray:
+        """(keys, keys) covariance of the errors of these parameters, all of which have one."""
+        together = np.eye(len(keys))
+        for i, first in enumerate(keys):
+            for j, second in enumerate(keys[:i]):
+                known = self.correlations
+                one, other = known.get(first, {}).get(second), known.get(second, {}).get(first)
+                together[i, j] = together[j, i] = (one or 0.0) + (other or 0.0)
+        spread = np.array([self.errors[k] for k in keys])
+        return together * np.outer(spread, spread)
 
     @property
     def given_values(self) -> dict[str, float]:
@@ -202,6 +217,19 @@ def estimates_dict(model: Model) -> dict[str, Any]:
     return {
         "effects": {owner: rows(t) for owner, t in table.items() if owner != "system"},
         "system": rows(table.get("system", {})),
+    }
+
+
+def correlations_by_name(
+    keys: Sequence[str], covariance: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """Correlations of a covariance (keys, keys) as a model keeps them, where they are told."""
+    spread = np.sqrt(np.abs(np.diag(covariance)))
+    told = [i for i in range(len(keys)) if 0 < spread[i] < np.inf]
+    return {
+        keys[i]: {keys[j]: float(covariance[i, j] / (spread[i] * spread[j])) for j in told[:n]}
+        for n, i in enumerate(told)
+        if n
     }
 
 

@@ -153,7 +153,8 @@ def test_the_page_about_python_runs():
     for code in blocks:
         exec(code, names)
     assert names["run"].missing == ("cubic_stiffness",)
-    assert names["states"]["x_rate"].relative < 0.05
+    assert names["states"].states["x_rate"].relative < 0.05
+    assert set(names["states"].series()) >= {"time", "x_rate", "x_rate_low", "x_rate_high"}
 
 
 def test_the_page_about_exports_runs(tmp_path, monkeypatch, capsys):

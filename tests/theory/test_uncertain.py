@@ -12,17 +12,22 @@ from spiral_plugins.observers.static import Static
 from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.tilting_rotor import TiltingRotor
 
+import spiral
 from spiral.engine.filter.curved_posterior import build_expansion, draw_samples
 from spiral.engine.filter.prior import Prior, covariance_root
 from spiral.engine.filter.rounding import rounding_level
 from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood.free_uncertainty import _bounded_root
 from spiral.inference.reconstruction.estimate import BAND, estimate
-from spiral.inference.reconstruction.uncertain import declared_prior, pattern_names
+from spiral.inference.reconstruction.uncertain import (
+    declared_prior,
+    model_prior,
+    pattern_names,
+)
 from spiral.inference.simulate import simulate
 from spiral.inference.strategies.likelihood.superfluous import _is_shown_far_from_zero
 from spiral.types.errors import ConfigError
-from spiral.types.model import seed_model
+from spiral.types.model import correlations_by_name, seed_model
 
 VALUES = {"system.mass": 1.0, "linear_stiffness.stiffness": 400.0, "linear_damping.damping": 0.8}
 LOAD = "constant_load.force"
@@ -120,7 +125,7 @@ def test_zero_is_what_the_steps_err_by():
 def test_what_a_fit_knows_of_this_record_is_not_told_twice():
     made = record(np.random.default_rng(0), model())
     task = prepare_task(model(), made)
-    known = Prior((LOAD,), task.parameter_values((LOAD,)), np.array([[4.0]]), of_this_record=True)
+    known = Prior((LOAD,), task.parameter_values((LOAD,)), np.array([[4.0]]), settled=True)
     wide = Rts(process_noise=1e-4).reconstruct(replace(task, prior=known))
     alone = Rts(process_noise=1e-4).reconstruct(task)
     np.testing.assert_allclose(wide.means, alone.means)
@@ -128,6 +133,41 @@ def test_what_a_fit_knows_of_this_record_is_not_told_twice():
     more = np.sqrt(wide.deviations[150:, 0] ** 2 - alone.deviations[150:, 0] ** 2)
     assert wide.values[LOAD] == (5.0, 2.0)
     np.testing.assert_allclose(more, 2.0 * slope, rtol=0.1)  # the transient of it is not over
+
+
+def test_bands_of_a_fitted_model_hold_its_standard_errors():
+    """Errors of the parameters are common to all samples: over records, not within one, 95 %."""
+    values = {**VALUES, LOAD: 5.0}
+    held = {True: [], False: []}
+    for seed in range(8):
+        made = record(np.random.default_rng(seed), model())
+        begun = seed_model(Oscillator(), (ConstantLoad(),), values=values, fixed=("system.mass",))
+        fitted = spiral.compare(made, begun).model
+        for exact in held:
+            bands = estimate([fitted], [made], Rts(), uncertain={} if exact else None)
+            held[exact] += [s.coverage_95 for s in bands.states.values()]
+    assert np.mean(held[False]) > 0.85
+    assert np.mean(held[True]) < 0.75
+
+
+def test_a_model_keeps_the_covariance_of_its_fit():
+    root = np.random.default_rng(0).normal(size=(3, 3)) * [[1.0], [10.0], [0.1]]
+    keys, whole = ("a.x", "b.y", "c.z"), root @ root.T
+    known = replace(model(), errors=dict(zip(keys, np.sqrt(np.diag(whole)), strict=True)),
+                    correlations=correlations_by_name(keys, whole))  # fmt: skip
+    np.testing.assert_allclose(known.covariance(keys), whole)
+    np.testing.assert_allclose(known.covariance(keys[::-1]), whole[::-1, ::-1])
+    whole[1] = whole[:, 1] = np.inf  # a value that the fit did not determine
+    assert set(correlations_by_name(keys, whole)) == {"c.z"}
+
+
+def test_a_value_that_the_data_did_not_tell_is_no_doubt():
+    level, width = "coulomb_friction.level", "coulomb_friction.width"  # neither below zero
+    values = {**VALUES, level: 0.5, width: 0.02}
+    told = seed_model(Oscillator(), (CoulombFriction(),), values=values, errors={level: 0.1})
+    task = prepare_task(told, record(np.random.default_rng(0), model()))
+    assert model_prior(replace(told, errors={level: 0.1, width: 0.3}), task).keys == (level,)
+    assert model_prior(replace(told, errors={level: np.nan, width: 0.0}), task) is None
 
 
 def test_draws_follow_a_bent_ridge():

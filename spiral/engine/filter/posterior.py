@@ -55,12 +55,12 @@ def posterior(
 ) -> Posterior:
     """The posterior of a task's uncertain parameters; process noise ``given`` or tuned.
 
-    What a fit knows of this very record (``Prior.of_this_record``) is the posterior already.
+    What a fit knows (``Prior.settled``) is the posterior already.
     """
     prior = task.prior
     assert prior is not None
     none = np.zeros((0, len(prior.keys)))
-    if prior.of_this_record:
+    if prior.settled:
         levels = choose_levels(task, settings, given)
         return Posterior(task, levels, prior.covariance, none, np.zeros(0))
     task = replace(task, moved=prior.keys)

@@ -27,14 +27,13 @@ _RANK = 1e-12  # share of the largest variance (of correlations) under which a d
 class Prior:
     """``mean`` (q,) and ``covariance`` (q, q) of parameters by their full names.
 
-    ``of_this_record``: they are of a fit to this very record, so that the prior is the
-    posterior already.
+    ``settled``: of a fit, which this record shall not move: the prior is the posterior already.
     """
 
     keys: tuple[str, ...]
     mean: Array
     covariance: Array
-    of_this_record: bool = False
+    settled: bool = False
 
     @cached_property
     def root(self) -> Array:

@@ -379,10 +379,12 @@ def to_model(
     errors: Mapping[str, float],
     freed: tuple[str, ...] = (),
     held: tuple[str, ...] = (),
+    correlations: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Model:
     """The model with the study's active effects and values, under its effects' real names.
 
-    ``freed`` shapes move in later fits of it, ``held`` amplitudes do not.
+    ``freed`` shapes move in later fits of it, ``held`` amplitudes do not; ``correlations`` are of
+    the ``errors``.
     """
     model = assembly.problem.model
     chosen = [assembly.variant(x) for x in labels if x not in model.labels]
@@ -402,6 +404,11 @@ def to_model(
         effects=effects,
         values=known,
         errors={original_key(k): float(v) for k, v in errors.items() if owner_of(k) in kept},
+        correlations={
+            original_key(k): {original_key(j): r for j, r in row.items() if owner_of(j) in kept}
+            for k, row in (correlations or {}).items()
+            if owner_of(k) in kept
+        },
         freed=(*model.freed, *(original_key(k) for k in freed)),
         fixed=(*model.fixed, *(original_key(k) for k in held)),
     )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.fit import standard_deviations
+from spiral.engine.fit import covariance, standard_deviations
 from spiral.engine.growth import Stage
 from spiral.engine.resting import resting_jacobian, steps_for_stability
 from spiral.engine.sensitivities import residuals
@@ -35,7 +35,7 @@ from spiral.inference.evidence.free_run import (
 from spiral.inference.evidence.horizons import errors_on_unseen_records
 from spiral.inference.problem import Problem, Progress, silent
 from spiral.types.effect import Effect
-from spiral.types.model import Model
+from spiral.types.model import Model, correlations_by_name
 from spiral.types.noise import estimate_noise
 from spiral.types.record import Record
 from spiral.types.run import Comparison
@@ -102,7 +102,23 @@ def standard_errors(assembly: Assembly, fit_state: FitState, stage: Stage) -> di
 def fitted_model(assembly: Assembly, fit_state: FitState, stage: Stage) -> Model:
     """The model of a fit state with a stage's values and their standard errors."""
     values, errors = stage.fitted.point.values, standard_errors(assembly, fit_state, stage)
-    return to_model(assembly, fit_state.labels, values, errors, fit_state.freed, fit_state.held)
+    return to_model(
+        assembly, fit_state.labels, values, errors, fit_state.freed, fit_state.held,
+        _error_correlations(assembly, fit_state, stage) if errors else {},
+    )  # fmt: skip
+
+
+def _error_correlations(
+    assembly: Assembly, fit_state: FitState, stage: Stage
+) -> dict[str, dict[str, float]]:
+    """Correlations of the standard errors, of a record's own parameters those of the first."""
+    moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
+    first: dict[str, int] = {}
+    for column, position in enumerate(moving.index):
+        if position < len(assembly.study.keys):
+            first.setdefault(assembly.study.keys[position], column)
+    columns = list(first.values())
+    return correlations_by_name(tuple(first), covariance(stage.fitted)[np.ix_(columns, columns)])
 
 
 def compare_fit(

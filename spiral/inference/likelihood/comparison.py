@@ -68,7 +68,7 @@ from spiral.inference.likelihood.initial_states import set_likely_initial_state
 from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
-from spiral.types.model import Model
+from spiral.types.model import Model, correlations_by_name
 from spiral.types.noise import COLOURED, FORCES, NOISE_LAGS, estimate_noise, expected_noise_estimate
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
@@ -149,8 +149,10 @@ def _noise_and_residual_fields(
 
 def _fitted_model(assembly: Assembly, state: FitState, estimate: MaximumLikelihood) -> Model:
     """The model of a state, with the standard errors of an estimate."""
-    errors = estimate.errors
-    return to_model(assembly, state.labels, state.values, errors, state.freed, state.held)
+    together = correlations_by_name(estimate.keys, estimate.covariance)
+    return to_model(
+        assembly, state.labels, state.values, estimate.errors, state.freed, state.held, together
+    )
 
 
 def _test_run(

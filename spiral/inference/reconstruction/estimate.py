@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,13 +27,16 @@ from spiral.inference.reconstruction.consistency import (
 )
 from spiral.inference.reconstruction.consistency import stable_samples as stable
 from spiral.inference.reconstruction.observability import Observability, observability
-from spiral.inference.reconstruction.uncertain import declared_prior
+from spiral.inference.reconstruction.uncertain import declared_prior, model_prior
 from spiral.physics.effect_states import own_states
 from spiral.types.display import Readable, Summary
 from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit
 from spiral.types.record import Array, Record
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SKIPPED = 1.0  # s at the start that are not scored
 BAND = 1.959964  # half a 95 % band, in standard deviations
@@ -100,6 +103,23 @@ class RecordReconstruction:
             for k, (v, s) in self.reconstruction.values.items()
         }
 
+    def series(self) -> pd.DataFrame:
+        """Time, and of every state the estimate with its 95 % band: NAME, NAME_low, NAME_high.
+
+        Samples after a divergence are left out; a state that the observer does not give has no
+        columns.
+        """
+        import pandas as pd
+
+        columns = {"time": self.record.time[: self.stable]}
+        for name in self.reconstruction.names:
+            mean, deviation = (v[: self.stable] for v in self.reconstruction.state(name))
+            if not np.isnan(mean).all():
+                columns[name] = mean
+                columns[f"{name}_low"] = mean - BAND * deviation
+                columns[f"{name}_high"] = mean + BAND * deviation
+        return pd.DataFrame(columns)
+
     def unit(self, name: str) -> str:
         """Unit of a state or of a tracked parameter."""
         model = self.task.model
@@ -126,11 +146,28 @@ class Estimation(Readable):
             for name, s in self.states.items()
         )
         said = "diverged" if self.diverged else f"mean NIS {number(self.nis_mean, 3)}"
+        known = any(s.relative is not None for s in self.states.values())
+        head = ("state", "standard deviation", "error", "truth in 95 % band", "unit")
         return Summary(
             f"States of {self.model.name} by {self.observer}: {said}",
-            ("state", "standard deviation", "error (truth known)", "truth in 95 % band", "unit"),
-            rows,
+            head,
+            rows if known else tuple((*row[:2], "", "", row[4]) for row in rows),
+            f"{self.band_sentence} series() gives them sample by sample.",
         )
+
+    @property
+    def band_sentence(self) -> str:
+        """Which parameters' uncertainty the bands hold."""
+        prior = self.parts[0].task.prior
+        if prior is None:
+            return "The bands hold for a model whose parameters are exact (uncertain= widens them)."
+        count = len(prior.keys)
+        noun = "parameter" if count == 1 else "parameters"
+        return f"The bands hold the uncertainty of {count} {noun} as well."
+
+    def series(self, record: int = 0) -> pd.DataFrame:
+        """Every state of a record over time with its band (``RecordReconstruction.series``)."""
+        return self.parts[record].series()
 
     @property
     def diverged(self) -> bool:
@@ -197,7 +234,8 @@ def estimate(
     models : one for each record (they differ in the values that belong to a record).
     grids : for each record, inputs as of ``stage_inputs`` and their substeps, where a fit has
         corrected them.
-    uncertain : what is declared of parameters (``spiral.inference.reconstruction.uncertain``).
+    uncertain : what is declared of parameters (``spiral.inference.reconstruction.uncertain``);
+        none, the standard errors that a model has of a fit; empty, nothing: values are exact.
     known : for each record, what a fit knows of them.
 
     Raises
@@ -213,15 +251,21 @@ def estimate(
     for index, (model, record) in enumerate(zip(models, records, strict=True)):
         inputs, substeps = (grids[index] if grids else None) or (None, None)
         task = prepare_task(model, record, inputs=inputs, substeps=substeps)
-        prior = (
-            declared_prior(model, task, uncertain)
-            if uncertain
-            else (known[index] if known else None)
-        )
-        task = replace(task, prior=prior if observer.doubts else None)
+        if observer.doubts:
+            fitted = known[index] if known else None
+            task = replace(task, prior=_prior_of(model, task, uncertain, fitted))
         progress(f"{observer.plugin_name()} over {record.name}: {record.samples} samples")
         parts.append(reconstruct_record(task, observer))
     return combine_reconstructions(observer.plugin_name(), parts)
+
+
+def _prior_of(
+    model: Model, task: FilterInput, uncertain: Mapping[str, Any] | None, fitted: Prior | None
+) -> Prior | None:
+    """What is declared, else what a fit of the records knows, else what the model's own does."""
+    if uncertain is not None:
+        return declared_prior(model, task, uncertain)
+    return model_prior(model, task) if fitted is None else fitted
 
 
 def reconstruct_record(task: FilterInput, observer: Observer) -> RecordReconstruction:

@@ -1,5 +1,8 @@
 """Uncertain parameters as a Gaussian: as the user declares them, or from the covariance of a fit.
 
+A model that was fitted brings its standard errors and their correlations with it (``model_prior``);
+what is declared takes their place.
+
     uncertain={"bearing.*": 0.2, "system.phase_origin": 0.05, "preload.force": {"absolute": 3}}
 
 A name or a pattern (``*``, ``?``) stands for full names as a model shows them
@@ -24,6 +27,7 @@ from spiral.inference.reconstruction.calibrate import Calibration
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.label import split_key, split_port
 from spiral.types.model import Model
+from spiral.types.parameter import Parameter
 
 _HOW = "a share of the value such as 0.2, or {absolute: 3} in the parameter's unit"
 
@@ -53,6 +57,28 @@ def declared_prior(model: Model, task: FilterInput, uncertain: Mapping[str, Any]
     return Prior(keys, task.parameter_values(keys), np.diag(spread**2)) if keys else None
 
 
+def model_prior(model: Model, task: FilterInput) -> Prior | None:
+    """The standard errors of a fitted model's values, as they are correlated; none of others.
+
+    A record's own parameters (a phase origin) are left out: the filter follows them. So are values
+    whose error reaches beyond a bound: the data did not tell them, and a filter at such values
+    would tell nothing either.
+    """
+    known = set(task.keys)
+
+    def is_told(key: str, parameter: Parameter) -> bool:
+        error = model.errors.get(key, 0.0)
+        if key not in known or parameter.scope == "record" or not 0 < error < np.inf:
+            return False
+        low, high = model.values[key] - error, model.values[key] + error
+        above = parameter.lower is None or low > parameter.lower
+        return above and (parameter.upper is None or high < parameter.upper)
+
+    keys = tuple(k for k, p in model.pairs if is_told(k, p))
+    values = task.parameter_values(keys)
+    return Prior(keys, values, model.covariance(keys), settled=True) if keys else None
+
+
 def fitted_prior(calibration: Calibration, record: int) -> Prior | None:
     """The covariance of a fit's parameters, for the record of this number, which is in it.
 
@@ -68,7 +94,7 @@ def fitted_prior(calibration: Calibration, record: int) -> Prior | None:
     own = [c for c, i in enumerate(study.index) if i < len(known) and scopes[i] != "record"]
     keys = tuple(known[study.index[c]] for c in own)
     values = np.array([model.values[k] for k in keys])
-    return Prior(keys, values, whole[np.ix_(own, own)], of_this_record=True) if keys else None
+    return Prior(keys, values, whole[np.ix_(own, own)], settled=True) if keys else None
 
 
 def pattern_names(key: str) -> tuple[str, ...]:

@@ -42,10 +42,9 @@ def show(verb: str, outcome: Outcome) -> None:
             console.print(Text(f"not determined by these records: {names}", "yellow"))
     print_heading(console, f"States by {estimation.observer}, after the first second")
     console.print(_state_table(estimation))
-    for line in _tracked_parameters(estimation):
+    for line in (*_tracked_parameters(estimation), *_uncertain_parameters(estimation)):
         console.print(Text(line))
-    for line in _uncertain_parameters(estimation):
-        console.print(Text(line))
+    console.print(Text(estimation.band_sentence, "dim"))
     for part in estimation.parts:
         _print_innovation_checks(console, part, len(estimation.parts) > 1)
     seen = estimation.observability
@@ -98,7 +97,7 @@ def _tracked_parameters(estimation: Estimation) -> list[str]:
 def _uncertain_parameters(estimation: Estimation) -> list[str]:
     """Uncertain parameters before and after the first record; none where a fit gave them."""
     prior = estimation.parts[0].task.prior
-    if prior is None or prior.of_this_record:
+    if prior is None or prior.settled:
         return []
     return [
         f"{name} {plus_minus(d['estimate'], d['se'])} {d['unit']}, standard deviation before "
