@@ -90,17 +90,19 @@ _HOMES = {
     "Record": "types.record",
     "Registry": "io.registry",
     "Run": "types.run",
+    "SpiralError": "types.errors",
     "structure": "io.own_model",
     "system": "io.own_model",
 }
-"""Where names are defined; the other functions are in ``spiral.api``."""
+"""Where names are defined (``SpiralError`` too, what every error of this package is); the other
+functions are in ``spiral.api``."""
 
 accept()
 kernel_cache.provide(Path(__file__).parent)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in __all__ and name not in _HOMES:
         raise AttributeError(f"module 'spiral' has no attribute {name!r}")
     if name == "plot":
         return import_module("spiral.view.plot")

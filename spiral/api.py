@@ -26,6 +26,8 @@ from spiral.types.run import Comparison, Diagnosis, Run, require_run
 from spiral.types.system import System
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from spiral.inference.identifiability.identify import Identification
     from spiral.inference.plan import Plan
     from spiral.inference.reconstruction.estimate import Estimation
@@ -41,18 +43,19 @@ Plugins = str | Path | Registry | None
 
 
 def read(
-    path: str | Path | Sequence[str] | Mapping[str, Any],
+    path: str | Path | Sequence[str] | Mapping[str, Any] | pd.DataFrame,
     system: Physics,
     *,
     plugins: Plugins = None,
     **fields: Any,
 ) -> Any:
-    """A record from a file, or a tuple of records from several files of one machine.
+    """A record from a file or a table, or a tuple of records from several files of one machine.
 
     Parameters
     ----------
-    path : a file, several files, or any source by its name with fields, for instance the embedded
-        run-down of a rotor: ``{"name": "rotor_coastdown", "seed": 11}``.
+    path : a file, several files, a DataFrame, series by name (``{"t": t, "x": x, "F": F}``), or any
+        source by its name with fields, for instance the embedded run-down of a rotor:
+        ``{"name": "rotor_coastdown", "seed": 11}``.
     system : whose channels and inputs the columns are.
     fields : as ``record.NAME`` on the command line: ``time`` or ``rate``, ``channels``, ``inputs``,
         ``units``, ``rows``, ``noise``, ``offset``, ``resample``, ...
@@ -61,7 +64,14 @@ def read(
     ------
     SpiralError : a file, a column or a field that cannot be used.
     """
+    from spiral.io.readers.frames import NAME, is_frame, refuse_array, table_of
+
     registry = _registry(plugins)
+    refuse_array(path)
+    if is_frame(path):
+        source = registry.make("source", "file", {"path": NAME, **fields}, "record")
+        records = source.records_of(_system(system, registry), table_of(path), NAME)
+        return records if len(records) > 1 else records[0]
     several = not isinstance(path, str | Path | Mapping)
     if isinstance(path, Mapping):
         source = _plugin("source", {**path, **fields}, registry)
@@ -351,6 +361,9 @@ def _problem(record: Records, physics: Physics, choices: dict[str, Any]) -> Prob
     _reject_unknown_choices(
         choices, "a study", (*_MODEL, *_ASKED, "settings", "plugins", "progress")
     )
+    if not isinstance(levels, Settings | Mapping):
+        known = "{'max_rounds': 3}"
+        raise ConfigError(f"settings={levels!r}", f"values by name, such as {known}")
     settings = levels if isinstance(levels, Settings) else construct(Settings, levels, "settings")
     test = asked.pop("test", None)
     if "strategy" in asked:
@@ -391,7 +404,7 @@ def _records(given: Records) -> tuple[Record, ...]:
                 f"a {type(one).__name__} where a record belongs",
                 "a Record or several, as spiral.read gives them",
                 "the record first, then the system: spiral.discover(record, system); "
-                'a file: spiral.read("FILE", system)',
+                'a file or a DataFrame: spiral.read("FILE", system)',
             )
     return records
 
@@ -437,16 +450,22 @@ def _model(
         model = given
     else:
         model = seed_model(_system(given, registry))
-    for label in without:
+    for label in _listed(without):
         model = model.without(label)
-    for effect in effects:
+    for effect in _listed(effects):
         model = model.add(registry.effect_from_label(effect) if isinstance(effect, str) else effect)
-    held = fixed if isinstance(fixed, Mapping) else {}
+    given_values = {**(values or {}), **(fixed if isinstance(fixed, Mapping) else {})}
     model = replace(
-        model, values={**model.values, **(values or {}), **held},
-        freed=(*model.freed, *free), fixed=(*model.fixed, *fixed),
+        model, values={**model.values, **given_values},
+        errors={k: e for k, e in model.errors.items() if k not in given_values},
+        freed=(*model.freed, *_listed(free)), fixed=(*model.fixed, *_listed(fixed)),
     )  # fmt: skip
     return with_defaults(model)
+
+
+def _listed(given: Any) -> Sequence[Any]:
+    """One or several: a name or an effect alone is a list of one."""
+    return (given,) if isinstance(given, str | Effect) else tuple(given)
 
 
 def _problem_of_run(run: Run) -> Problem:

@@ -6,12 +6,25 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from spiral.inference.disturbances import random_forces, what_acts
-from spiral.inference.nearness import is_near_noise
+from spiral.inference.nearness import is_free_run_telling_little, is_near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence
 from spiral.inference.verdict import noise_sentence
 from spiral.types.formatting import percent
 from spiral.types.run import Comparison, Round, StopReason, Verdict
+
+_FOR_MEMORY = (
+    "Offer effects with states of their own (bouc_wen, jenkins, lag) as candidates, or write one "
+    "(spiral new effect NAME)."
+)
+_FOR_OTHER_MOTION = (
+    "Record what drives the machine as well, or move it more by what is recorded: most of this "
+    "motion came from elsewhere."
+)
+_FOR_UNKNOWN = (
+    "See where the residual is large with `spiral diagnose`, and add an effect of your own (a file "
+    "in ./plugins)."
+)
 
 
 def advice_for(
@@ -42,15 +55,11 @@ def advice_for(
     if shape is not None and stopped != "max_rounds" and "unknown" in rounds[-1].details:
         return _curve_advice(shape)
     if memory_sentence(rounds):
-        return (
-            "Offer effects with states of their own (bouc_wen, jenkins, lag) as candidates, or "
-            "write one (spiral new effect NAME)."
-        )
+        return _FOR_MEMORY
+    if is_free_run_telling_little(last) and is_near_noise(last, settings):
+        return _FOR_OTHER_MOTION
     if verdict == "unknown_structure" and len(rounds) == 1:
-        return (
-            "See where the residual is large with `spiral diagnose`, and add an effect of your own "
-            "(a file in ./plugins)."
-        )
+        return _FOR_UNKNOWN
     return " ".join(s for s in (_ending_sentence(verdict, stopped, last, settings),
                                 noise_sentence(last, settings)) if s)  # fmt: skip
 

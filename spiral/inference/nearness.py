@@ -34,7 +34,7 @@ from spiral.inference.disturbances import (
 from spiral.inference.problem import Settings
 from spiral.types.formatting import number, percent
 from spiral.types.horizon import Change, changes
-from spiral.types.run import Comparison
+from spiral.types.run import Comparison, StopReason
 
 _SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to make of one free run
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
@@ -189,6 +189,15 @@ def is_free_run_telling_little(comparison: Comparison) -> bool:
     Random forces and uncertain values may explain that, and would hide whatever is as large.
     """
     return comparison.test_error > _HALF and not is_free_run_carried_away(comparison)
+
+
+def is_undecided(comparison: Comparison, stopped: StopReason, settings: Settings) -> bool:
+    """Whether what acts at random may hide what is missing, though noise and forces explain all.
+
+    A free run tells little, or the search ended before all candidates were tried.
+    """
+    cut_short = stopped == "max_seconds" and is_moved_at_random(comparison, settings)
+    return is_free_run_telling_little(comparison) or cut_short
 
 
 def is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:

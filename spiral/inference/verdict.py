@@ -31,6 +31,7 @@ from spiral.inference.nearness import (
     is_free_run_telling_little,
     is_near_noise,
     is_residual_white,
+    is_undecided,
     leaves_less_than_noise,
     next_sample_error,
     noise_factor,
@@ -44,7 +45,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.horizon import changes
 from spiral.types.label import split_key
 from spiral.types.model import Model
-from spiral.types.run import Comparison, Round, StopReason, Verdict
+from spiral.types.run import UNTOLD, Comparison, Round, StopReason, Verdict
 from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"
@@ -197,7 +198,10 @@ def seed_verdict(
     if stopped == "diverged" or {"unknown", "memory"} & set(seed.details):
         return "unknown_structure"
     if is_near_noise(seed.comparison, settings):
-        return "not_identifiable" if has_tied_effects(seed.details) else "nothing_missing"
+        if has_tied_effects(seed.details):
+            return "not_identifiable"
+        undecided = is_undecided(seed.comparison, stopped, settings)
+        return "unknown_structure" if undecided else "nothing_missing"
     return "unknown_structure"
 
 
@@ -210,13 +214,13 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
     if words.endswith("."):
         return words
     random = " ".join(filter(None, (random_sentence(comparison), record_sentence(comparison))))
-    if verdict == "nothing_missing":
+    reasons = shortfalls(comparison, settings)
+    untold = not reasons and is_free_run_telling_little(comparison)
+    if verdict == "nothing_missing" or untold:
         if random_forces(comparison) and comparison.disturbed > comparison.noise_floor:
             words = "Nothing is missing but what acts at random"
-            if is_free_run_telling_little(comparison):
-                words = "This record does not tell whether more is missing than what acts at random"
+        words = UNTOLD if untold else words
         return f"{words}: {_figures_clause(comparison, settings)}.{' ' + random if random else ''}"
-    reasons = shortfalls(comparison, settings)
     if (
         len(reasons) == 1
         and not comparison.test_error <= comparison.fit_error

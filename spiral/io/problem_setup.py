@@ -17,7 +17,7 @@ from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.placement import check_effect
-from spiral.types.record import Record, in_blocks, split_off_test
+from spiral.types.record import Record, check_fits, in_blocks, split_off_test
 
 USUAL_STRATEGY = "likelihood"
 MOST_BLOCKS = 50  # in which a share of a record is kept apart
@@ -35,6 +35,7 @@ def candidates_for(
     ------
     ConfigError : an effect that does not fit the system.
     """
+    named = (named,) if isinstance(named, str) else named
     if named is None:
         effects = registry.candidates(model.system, everywhere)
     else:
@@ -108,12 +109,15 @@ def pose_problem(
     check_settle(settle)
     chosen = registry.make("strategy", strategy) if isinstance(strategy, str) else strategy
     named = None
+    candidates = (candidates,) if isinstance(candidates, str) else candidates
     if candidates is not None:
         named = tuple(c if isinstance(c, str) else c.label for c in candidates)
     asked = chosen.candidates(model, named)
     if asked is None:
         asked = candidates_for(registry, model, candidates, chosen.everywhere)
     fitted, kept = split_records(records, test, holdout, holdout_blocks)
+    for record in (*fitted, *kept):
+        check_fits(model.system, record)
     model, scaled = with_scaled_shapes(model, fitted)
     problem = Problem(
         model, fitted, kept, settle, asked, settings or Settings(), strategy=chosen, scaled=scaled

@@ -25,6 +25,8 @@ Array = np.ndarray
 MINIMUM_SAMPLES = 64
 JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
 
+_COARSE = 0.02  # share of steps of zero from which a clock is coarser than the rows
+_SCATTERED = -0.25  # correlation of a time step and the next: half that of stamps that scatter
 _MOST_MISSING = 0.5  # share of a channel's readings that may be missing and left out
 
 
@@ -59,6 +61,24 @@ class Record:
     spoilt: Mapping[str, tuple[InvalidReadings, ...]] = field(default_factory=dict)
     hold: Mapping[str, Interpolation] = field(default_factory=dict)
     growth: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        series = {"time": self.time, **self.channels, **self.inputs}
+        for key, values in series.items():
+            if np.shape(values) != np.shape(self.time) or np.ndim(values) != 1:
+                raise InputError(
+                    f"{self.name}: {key!r} of shape {np.shape(values)}",
+                    f"a number for every time, ({np.size(self.time)},)",
+                )
+            if not np.all(np.isfinite(values)):
+                row = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise InputError(
+                    f"{self.name}: {key!r} is {values[row]} at row {row}", "numbers in every row",
+                    "spiral.read of a file or a DataFrame says what may be done about it",
+                )  # fmt: skip
+        if len(self.time) > 1:
+            _check_forward(self.name, self.time)
+            check_uniform(self.name, self.time)
 
     def __repr__(self) -> str:
         length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
@@ -213,6 +233,25 @@ def make_record(
     )
 
 
+def check_fits(system: System, record: Record) -> None:
+    """Refuse a record without the channels and inputs of a system.
+
+    Raises
+    ------
+    InputError : what is missing, by name.
+    """
+    needed = {"channel": system.observed, "input": tuple(i.name for i in system.inputs)}
+    for kind, known in (("channel", record.channels), ("input", record.inputs)):
+        for name in needed[kind]:
+            if name not in known:
+                told = ", ".join(known) or "none"
+                raise InputError(
+                    f"{record.name}: {kind}s {told}",
+                    f"{kind} {name!r} of system {system.plugin_name()!r} among them",
+                    "spiral.read with that system makes records that fit it",
+                )
+
+
 def _find_spoilt_readings(
     system: System, given: Mapping[str, Array], known: Mapping[str, Array],
     missing: Mapping[str, Array | None],
@@ -314,21 +353,42 @@ def check_increasing(name: str, time: Array) -> None:
     if not np.all(np.isfinite(time)):
         row = int(np.flatnonzero(~np.isfinite(time))[0])
         raise InputError(f"{name}: time at row {row} is not a number", "numbers in every row")
+    _check_forward(name, time)
+
+
+def _check_forward(name: str, time: Array) -> None:
+    """Refuse time that stands or runs backwards."""
     steps = np.diff(time)
-    if np.any(steps <= 0):
-        row = int(np.flatnonzero(steps <= 0)[0]) + 1
-        raise InputError(
-            f"{name}: time runs from {time[row - 1]:.9g} s to {time[row]:.9g} s at row {row}",
-            "time that increases in every row",
-            "sort the file, drop repeated rows, or leave the column of time out: "
-            f"record.rate={1 / float(np.median(steps[steps > 0])):.6g}"
-            if np.any(steps > 0)
-            else "give record.rate instead of a time column",
+    back = np.flatnonzero(steps <= 0)
+    if not len(back):
+        return
+    row = int(back[0]) + 1
+    raise InputError(
+        f"{name}: time runs from {time[row - 1]:.9g} s to {time[row]:.9g} s at row {row}",
+        "time that increases in every row",
+        _suggest_forward_steps(steps),
+    )
+
+
+def _suggest_forward_steps(steps: Array) -> str:
+    """Advice where time stands or runs backwards: a coarse clock, a wrong order, rows twice."""
+    if np.all(steps == 0):
+        return "record.rate=HZ in place of the column of time, where the rows are evenly spaced"
+    if np.mean(steps == 0) > _COARSE and np.all(steps >= 0):
+        return (
+            f"the clock is coarser than the rows: record.rate={1 / float(np.mean(steps)):.6g} in "
+            "place of the column of time, where they are evenly spaced"
         )
+    return "sort the rows by time, and drop those that stand there twice"
 
 
 def _check_time(name: str, time: Array) -> None:
     check_increasing(name, time)
+    check_uniform(name, time)
+
+
+def check_uniform(name: str, time: Array) -> None:
+    """Refuse time whose steps differ."""
     steps = np.diff(time)
     mean = (time[-1] - time[0]) / (len(time) - 1)
     worst = int(np.argmax(np.abs(steps - mean)))
@@ -342,8 +402,18 @@ def _check_time(name: str, time: Array) -> None:
 
 
 def _suggest_even_steps(steps: Array, mean: float) -> str:
-    """Advice where time steps differ: bridge gaps, resample uneven steps."""
-    longest = float(steps.max() / np.median(steps))
+    """Advice where time steps differ: bridge gaps, resample uneven steps, count rows.
+
+    Steps between stamps that scatter about an even clock are followed by opposite ones (their
+    correlation is -1/2); those of readings that were taken unevenly are not.
+    """
+    longest, apart = float(steps.max() / np.median(steps)), steps - mean
+    following = float(apart[1:] @ apart[:-1]) / float(apart @ apart)
+    if following < _SCATTERED:
+        return (
+            f"the stamps scatter about an even clock: record.rate={1 / mean:.6g} in place of the "
+            f"column of time; record.resample={1 / mean:.4g} where the readings were taken so"
+        )
     if longest > 1.5:
         return (
             f"record.resample={1 / mean:.4g} makes uneven steps even; where samples are missing, "

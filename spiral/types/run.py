@@ -25,6 +25,9 @@ StopReason = Literal[
 not converge; as many rounds as ``settings.max_rounds`` were made; ``settings.seconds``
 were over."""
 
+UNTOLD = "This record does not tell whether more is missing than what acts at random"
+"""How a verdict begins where random forces make more of a free run than half of all motion."""
+
 
 @dataclass(frozen=True)
 class ChannelError:

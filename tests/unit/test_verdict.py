@@ -28,7 +28,7 @@ from spiral.inference.verdict import (
 )
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model, seed_model
-from spiral.types.run import Comparison, Round
+from spiral.types.run import UNTOLD, Comparison, Round
 from tests.scenes import effect
 
 SETTINGS = Settings()
@@ -116,6 +116,24 @@ def test_a_free_run_that_misses_half_of_all_motion_is_no_proof(error, moved, wor
     pushed = replace(GOOD, random={"force.observed": 0.1}, disturbed=moved, test_error=error,
                      unseen=unseen)  # fmt: skip
     assert verdict_sentence("nothing_missing", pushed, SETTINGS).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("error", "stopped", "verdict"),
+    [
+        (0.3, "no_candidate", "nothing_missing"),
+        (0.7, "no_candidate", "unknown_structure"),  # a free run tells little
+        (0.3, "max_seconds", "unknown_structure"),  # a candidate might have taken it away
+        (0.021, "max_seconds", "nothing_missing"),  # nothing is left to take away
+    ],
+)
+def test_what_random_forces_may_hide_is_not_nothing(error, stopped, verdict):
+    pushed = replace(GOOD, random={"force.observed": 0.1}, disturbed=0.4, test_error=error)
+    seed = Round(0, (), {}, {}, (), pushed, 1.0)
+    assert seed_verdict(seed, stopped, SETTINGS) == verdict
+    if verdict == "unknown_structure" and stopped != "max_seconds":
+        assert verdict_sentence(verdict, pushed, SETTINGS).startswith(UNTOLD)
+        assert "Record what drives" in advice_for(verdict, stopped, [seed], (), SETTINGS)
 
 
 @pytest.mark.parametrize(("moved", "told"), [(0.05, False), (0.4, True)])

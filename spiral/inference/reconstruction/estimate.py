@@ -33,7 +33,7 @@ from spiral.types.display import Readable, Summary
 from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit
-from spiral.types.record import Array, Record
+from spiral.types.record import Array, Record, check_fits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -249,6 +249,7 @@ def estimate(
         )  # fmt: skip
     parts = []
     for index, (model, record) in enumerate(zip(models, records, strict=True)):
+        check_fits(model.system, record)
         inputs, substeps = (grids[index] if grids else None) or (None, None)
         task = prepare_task(model, record, inputs=inputs, substeps=substeps)
         if observer.doubts:

@@ -104,6 +104,7 @@ def export(
     ConfigError : an unknown kind, an archive without a path, or a model that cannot be written so.
     InputError : a file that cannot be written.
     """
+    from spiral.types.model import Model
     from spiral.types.run import Run
 
     kind = export_kind(to)
@@ -114,6 +115,11 @@ def export(
     if isinstance(model, Run):
         origin = origin or (f"run {model.run_id}" if model.run_id else "")
         model = model.model
+    if not isinstance(model, Model):
+        raise ConfigError(
+            f"a {type(model).__name__} to export", "a run, or a model with its values",
+            "spiral.compare(record, system).model has them",
+        )  # fmt: skip
     content = kind.write(model, origin)
     if path is None:
         return str(content)

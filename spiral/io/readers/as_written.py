@@ -30,7 +30,7 @@ def unprocessed_series(source: Columns, system: System) -> FileSeries:
     one = plain._expand_starred(table)[0]
     layout = one._resolve_layout(system, table)
     rows = len(table.values[next(iter(layout.channels.values()))])
-    start, stop = source.rows or (0, rows)
+    start, stop = source.stretches[0] or (0, rows)
 
     def read_columns(option: str, given: dict[str, str]) -> dict[str, Array]:
         return {

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class Columns(Source):
         input may be a number instead (``0`` where nothing drives), in the system's unit. A star
         stands for every number that makes a column, one record for each: ``Y_id[*][0]``.
     units : name of a channel or input (or ``time``) -> its unit; else the unit that the file names.
-    rows : [start, stop], zero-based data rows, stop excluded.
+    rows : [start, stop], zero-based data rows, stop excluded; several such are several records.
     noise : channel -> standard deviation in the system's unit, where it is known.
     offset : name -> what the instrument reads at rest, in the file's unit; it is subtracted.
     separator, decimal : a text file's, what stands between columns and the mark, where not found.
@@ -85,7 +85,7 @@ class Columns(Source):
     channels: Mapping[str, str] | None = None
     inputs: Mapping[str, str] | None = None
     units: Mapping[str, str] | None = None
-    rows: tuple[int, int] | None = None
+    rows: tuple[tuple[int, int], ...] | tuple[int, int] | None = None
     noise: Mapping[str, float] | None = None
     offset: Mapping[str, float] | None = None
     separator: str | None = None
@@ -141,8 +141,22 @@ class Columns(Source):
         return tuple(record for path in paths for record in self._file_records(system, path))
 
     def _file_records(self, system: System, path: str) -> tuple[Record, ...]:
-        table = self.read(path)
-        return tuple(one._build_record(system, table, path) for one in self._expand_starred(table))
+        return self.records_of(system, self.read(path), path)
+
+    @property
+    def stretches(self) -> tuple[tuple[int, int] | None, ...]:
+        """The stretches of rows of a file, each a record of its own; ``None`` for all rows."""
+        if self.rows is None or isinstance(self.rows[0], int):
+            return (cast("tuple[int, int] | None", self.rows),)
+        return cast("tuple[tuple[int, int], ...]", self.rows)
+
+    def records_of(self, system: System, table: Table, path: str) -> tuple[Record, ...]:
+        """The records of a table: one for each stretch of rows, and series that a star means."""
+        return tuple(
+            one._build_record(system, table, path, stretch)
+            for one in self._expand_starred(table)
+            for stretch in self.stretches
+        )
 
     def _expand_starred(self, table: Table) -> list[Columns]:
         """One source for each number that a star in a column's name stands for; else itself."""
@@ -160,9 +174,11 @@ class Columns(Source):
             for n in table.starred_numbers(starred[0])
         ]
 
-    def _build_record(self, system: System, table: Table, path: str) -> Record:
+    def _build_record(
+        self, system: System, table: Table, path: str, rows: tuple[int, int] | None
+    ) -> Record:
         layout = self._resolve_layout(system, table)
-        start, stop = _row_range(table, layout.options(), self.rows, "record.rows")
+        start, stop = _row_range(table, layout.options(), rows, "record.rows")
         series = self._prepared_series(system, table, layout, start, stop)
         series = replace(series, noise=check_noise(dict(self.noise or {}), series.channels))
         wish = self._slow_roll_range()
@@ -177,7 +193,7 @@ class Columns(Source):
         told = _describe_layout(system, layout, self.rate)
         return make_record(
             system,
-            Path(path).name + (f" rows [{start}, {stop})" if self.rows else ""),
+            Path(path).name + (f" rows [{start}, {stop})" if rows else ""),
             series.time,
             series.channels,
             series.inputs,
@@ -237,7 +253,7 @@ class Columns(Source):
             check_increasing(name, time)
         series = rotor_series.unwrap_phase(series)
         if self.fill_gaps is not None:
-            series = interpolate_gaps(series, self.fill_gaps, self.missing == "leave_out")
+            series = interpolate_gaps(series, self.fill_gaps, self.missing == "leave_out", start)
         if self.pulse is not None:
             series = rotor_series.add_pulse_phase(
                 system, series, self.pulse, self.pulse_level, self.pulse_edge

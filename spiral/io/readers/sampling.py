@@ -18,6 +18,8 @@ Array = np.ndarray
 _FINEST = 20000  # largest denominator of a change of rate
 _TAPS = 10  # half length of the anti-alias filter, in samples of the lower rate
 _KAISER = 5.0
+_MADE_UP = 0.5  # of an input's deviation, missed by a bridge that tells too little
+_CONTEXT, _TRIED = 8, 100  # samples beside a bridge, and places at which its length is tried
 _SKIP = 1.5  # a step longer than the usual one by this skips at least one sample
 
 
@@ -58,15 +60,19 @@ class FileSeries:
 # --- gaps ----------------------------------------------------------------------------------------
 
 
-def interpolate_gaps(series: FileSeries, longest: int, leave_out: bool = False) -> FileSeries:
+def interpolate_gaps(
+    series: FileSeries, longest: int, leave_out: bool = False, first: int = 0
+) -> FileSeries:
     """Missing values and missing rows bridged by Akima interpolation, up to ``longest`` in a row.
 
     What is put in the place of a sensor's reading is none: it is ``filled``. With ``leave_out``
-    missing cells of a channel may be as many as they will.
+    missing cells of a channel may be as many as they will. ``first`` is the file's row of the
+    first sample.
 
     Raises
     ------
-    InputError : a longer gap, or one at the start or end; the message names the place.
+    InputError : a longer gap, one at the start or end, or one over which an input cannot be told;
+        the message names the place.
     """
     opened, absent = _insert_missing_rows(series, longest)
     counts = {}
@@ -78,7 +84,10 @@ def interpolate_gaps(series: FileSeries, longest: int, leave_out: bool = False) 
         if not (leave_out and key in opened.channels):
             _check_gaps(opened, key, gaps, longest)
         counts[key] = gaps
-        return _interpolate_missing(values)
+        bridged = _interpolate_missing(values)
+        if key in opened.inputs:
+            _check_bridges(series, opened.time, key, bridged, gaps, first)
+        return bridged
 
     bridged = opened.transform_series(bridge)
     if not counts:
@@ -135,6 +144,46 @@ def _check_gaps(series: FileSeries, key: str, gaps: list[tuple[int, int]], longe
                 "a number on either side of a gap",
                 f"cut it off with record.rows; {samples - (stop - start)} rows remain",
             )
+
+
+def _check_bridges(
+    series: FileSeries, time: Array, key: str, values: Array, gaps: list[tuple[int, int]],
+    first: int,
+) -> None:  # fmt: skip
+    """Refuse the longest gap of an input where a bridge of its length tells too little of it.
+
+    What drives the machine is then made up there, and looks like a force that nobody knows.
+    """
+    start, stop = max(gaps, key=lambda gap: gap[1] - gap[0])
+    missed = _bridging_error(values, gaps, stop - start)
+    if not missed > _MADE_UP:
+        return
+    before, after = (first + int(np.searchsorted(series.time, time[i])) for i in (start, stop))
+    last = first + len(series.time)
+    raise InputError(
+        f"{series.name}: input {key!r} is missing for {_samples(stop - start)} at "
+        f"{time[start]:.6g} s (row {before}); where it is known, a bridge of that length misses "
+        f"{missed:.0%} of it",
+        "gaps over which an input can be told",
+        f"record.rows='[[{first}, {before}], [{after}, {last}]]' takes what is before and after "
+        "the gap as two records",
+    )
+
+
+def _bridging_error(values: Array, gaps: list[tuple[int, int]], length: int) -> float:
+    """What bridges of so many samples miss where values are known, over their deviation (rms)."""
+    known = np.ones(len(values), dtype=bool)
+    for start, stop in gaps:
+        known[start:stop] = False
+    missed, spread = [], float(values[known].std())
+    reach = length + 2 * _CONTEXT
+    for at in np.linspace(0, max(len(values) - reach, 0), _TRIED).astype(int):
+        part = values[at : at + reach].copy()
+        if len(part) == reach and known[at : at + reach].all():
+            true = part[_CONTEXT : _CONTEXT + length].copy()
+            part[_CONTEXT : _CONTEXT + length] = np.nan
+            missed.append(_interpolate_missing(part)[_CONTEXT : _CONTEXT + length] - true)
+    return float(np.sqrt(np.mean(np.square(missed)))) / spread if missed and spread > 0 else 0.0
 
 
 def _samples(count: int) -> str:

@@ -1,0 +1,64 @@
+"""A table of what is in memory: a DataFrame, or arrays by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from spiral.io.readers.table import Table
+from spiral.types.errors import ConfigError, InputError
+
+NAME = "data"
+"""What messages call a table that has no file."""
+
+
+def is_frame(given: Any) -> bool:
+    """Whether this is a DataFrame, or series by name; a mapping with a ``name`` is a source."""
+    if isinstance(given, Mapping):
+        return not isinstance(given.get("name"), str)
+    return hasattr(given, "columns") and hasattr(given, "__getitem__")
+
+
+def table_of(given: Any) -> Table:
+    """The columns of a DataFrame, its index too where it is no count of rows; or of a mapping.
+
+    Raises
+    ------
+    InputError : a column that is no series.
+    """
+    if isinstance(given, Mapping):
+        columns = dict(given)
+    else:
+        columns = {str(name): given[name] for name in given.columns}
+        index = getattr(given, "index", None)
+        if index is not None and not _counts_rows(index):
+            columns.setdefault(str(index.name or "index"), index.to_series().reset_index(drop=True))
+    for name, values in columns.items():
+        if np.ndim(values) != 1:
+            raise InputError(
+                f"column {name!r} of shape {np.shape(values)}", "a series of numbers, (samples,)",
+                "one name for each series",
+            )  # fmt: skip
+    return Table(NAME, {str(k): _plain_series(v) for k, v in columns.items()})
+
+
+def refuse_array(given: Any) -> None:
+    """Refuse an array: its columns have no names."""
+    if isinstance(given, np.ndarray):
+        raise ConfigError(
+            f"an array of shape {given.shape}",
+            "a file, a DataFrame, or series by name",
+            "spiral.read({'t': a[:, 0], 'x': a[:, 1]}, system, time='t')",
+        )
+
+
+def _counts_rows(index: Any) -> bool:
+    return index.name is None and np.array_equal(np.asarray(index), np.arange(len(index)))
+
+
+def _plain_series(values: Any) -> Any:
+    """As the reader of tables takes it: numbers, moments or text, rows counted from zero."""
+    plain = values.to_numpy() if hasattr(values, "to_numpy") else np.asarray(values)
+    return plain.astype(str) if plain.dtype == object else plain

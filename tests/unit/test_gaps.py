@@ -1,0 +1,59 @@
+"""Gaps of an input: bridged where a bridge tells it, refused where it would be made up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import spiral
+from spiral.types.errors import InputError
+from spiral.types.record import _suggest_even_steps, _suggest_forward_steps
+
+COUNT, RATE = 1000, 100.0
+TIME = np.arange(COUNT) / RATE
+
+
+def read(smooth, lost):
+    """A record of an oscillator whose force is white noise averaged over so many samples."""
+    rng = np.random.default_rng(1)
+    force = np.convolve(rng.normal(size=COUNT + smooth), np.hanning(smooth), "same")[:COUNT]
+    kept = np.r_[0:400, 400 + lost : COUNT]
+    series = {"t": TIME, "x": rng.normal(size=COUNT), "f": force}
+    return spiral.read(
+        {k: v[kept] for k, v in series.items()}, "oscillator", time="t", channels={"x": "x"},
+        inputs={"force": "f"}, fill_gaps=60,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("smooth", "lost"), [(200, 30), (40, 5), (9, 1)])
+def test_an_input_that_a_bridge_tells_is_bridged(smooth, lost):
+    assert read(smooth, lost).samples == COUNT
+
+
+@pytest.mark.parametrize(("smooth", "lost"), [(40, 50), (9, 20)])
+def test_an_input_that_would_be_made_up_is_refused_with_the_rows_beside_it(smooth, lost):
+    with pytest.raises(InputError) as caught:
+        read(smooth, lost)
+    assert f"'force' is missing for {lost} samples at 4 s (row 400)" in caught.value.given
+    assert caught.value.try_.startswith(f"record.rows='[[0, 400], [400, {COUNT - lost}]]'")
+
+
+def test_stamps_that_scatter_are_told_from_steps_that_differ():
+    rng = np.random.default_rng(2)
+    scattered = np.diff(TIME + 0.3 / RATE * rng.uniform(-1, 1, COUNT))
+    uneven = 1 / RATE * rng.uniform(0.4, 1.6, COUNT)
+    assert "record.rate=100" in _suggest_even_steps(scattered, 1 / RATE)
+    assert "scatter" not in _suggest_even_steps(uneven, float(uneven.mean()))
+
+
+@pytest.mark.parametrize(
+    ("time", "words"),
+    [
+        (TIME[::-1], "sort the rows"),
+        (np.insert(TIME, 500, TIME[499]), "stand there twice"),
+        (np.floor(TIME * 20) / 20, "clock is coarser than the rows: record.rate=100"),
+        (0 * TIME, "record.rate=HZ"),
+    ],
+)
+def test_what_is_wrong_with_time_is_told(time, words):
+    assert words in _suggest_forward_steps(np.diff(time))
