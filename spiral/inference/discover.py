@@ -19,11 +19,16 @@ from spiral.inference.rounds import (
     strategy_for,
 )
 from spiral.inference.strategies.base import AddedEffects, RefittedModel, Strategy
-from spiral.inference.verdict import interrupted_summary
+from spiral.inference.verdict import (
+    interrupted_summary,
+    missing_effects,
+    seed_verdict,
+    study_summary,
+)
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError
 from spiral.types.horizon import changes
-from spiral.types.run import Comparison, Round, Run, StopReason
+from spiral.types.run import Comparison, Round, Run, StopReason, Verdict
 
 OnRound = Callable[[Round], None]
 
@@ -133,13 +138,14 @@ def add(
     rounds.append(Round(1, labels, {}, {}, (), after, time.perf_counter() - clock - spent,
                         meaning=meaning,
                         changes=changes(before.unseen, after.unseen)))  # fmt: skip
-    run = Run(
-        "effect_missing",
-        "max_rounds",
-        tuple(rounds),
-        after.model,
-        "The effects were added by hand.",
+    missing = missing_effects(rounds, problem.settings)
+    verdict: Verdict = (
+        "effect_missing" if missing else seed_verdict(rounds[0], "no_candidate", problem.settings)
     )
+    run = Run(
+        verdict, "max_rounds", tuple(rounds), after.model, "The effects were added by hand.",
+        missing=missing, summary=study_summary(rounds, verdict, "max_rounds", problem.settings),
+    )  # fmt: skip
     return before, after, run
 
 

@@ -153,3 +153,9 @@ def test_what_needs_a_run_says_so(what, tmp_path):
     }
     with pytest.raises(SpiralError, match="a run, as"):
         calls[what]()
+
+
+def test_what_is_added_by_hand_and_does_nothing_is_not_called_missing(run):
+    _, _, more = spiral.add(run, "coulomb_friction")
+    assert (more.verdict, more.missing) == ("nothing_missing", ())
+    assert "does not determine coulomb_friction" in more.summary

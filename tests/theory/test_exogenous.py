@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.engine.likelihood.disturbances import smoothed_forces
@@ -12,6 +13,7 @@ from spiral.engine.likelihood.predict import predict_readings
 from spiral.inference.likelihood.exogenous import (
     _delayed_curves,
     _explained,
+    _largest_within,
     followed_force,
     followed_force_sentences,
 )
@@ -59,7 +61,7 @@ def test_smoothed_forces_are_the_conditional_mean(noise):
 
 
 def curves_of(sources):
-    return [(name, float(lag), curve) for name, s in sources.items()
+    return [(name, lag, curve) for name, s in sources.items()
             for lag, curve in _delayed_curves(s)]  # fmt: skip
 
 
@@ -69,7 +71,7 @@ def test_chance_is_called_chance(keep):
     rng = np.random.default_rng(7)
     for _ in range(40):
         sources = {"u": relaxed(rng, 1500, 0.9), "x": relaxed(rng, 1500, 0.98)}
-        assert _explained("v", relaxed(rng, 1500, keep), curves_of(sources)) is None
+        assert _explained("v", relaxed(rng, 1500, keep), curves_of(sources), sources) is None
 
 
 def test_what_switches_late_is_found_with_its_source_and_delay():
@@ -77,11 +79,31 @@ def test_what_switches_late_is_found_with_its_source_and_delay():
     sources = {"u": relaxed(rng, 3000, 0.9), "x": relaxed(rng, 3000, 0.98)}
     late = np.roll(sources["x"], 8)
     force = np.where(late > 0.5, 1.0, 0.0) + 0.3 * relaxed(rng, 3000, 0.9)
-    found = _explained("v", force, curves_of(sources))
+    found = _explained("v", force, curves_of(sources), sources)
     assert found is not None
     assert (found.state, found.source) == ("v", "x")
     assert found.lag == pytest.approx(8, abs=4)
     assert found.share > 0.4
+
+
+@pytest.mark.parametrize("delay", [0, 40, 120])
+def test_an_echo_of_the_motion_is_found_with_its_delay(delay):
+    """A narrow motion that returns after many of its periods, beside as much that is random."""
+    rng = np.random.default_rng(5)
+    noise = rng.normal(size=3000)
+    ringing = lfilter([1.0], [1.0, -2 * 0.97 * np.cos(0.3), 0.97**2], noise)
+    sources = {"u": noise, "x": ringing}
+    force = np.roll(ringing, delay) + ringing.std() * relaxed(rng, 3000, 0.9)
+    found = _explained("v", force, curves_of(sources), sources)
+    assert (found.source, found.lag) == ("x", pytest.approx(delay, abs=1))
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 7, 16, 50])
+def test_the_largest_of_the_next_values(width):
+    values = np.random.default_rng(width).normal(size=50)
+    around = [np.arange(i, i + width) % 50 for i in range(50)]
+    expected = [places[np.argmax(values[places])] for places in around]
+    assert _largest_within(values, width).tolist() == expected
 
 
 def fit_beside_force(record, known):

@@ -7,7 +7,9 @@ other of ``_BLOCKS`` stretches) f is regressed on a curve over one s some time b
 
     f(t) = b_0 + sum_k b_k g_k(s(t - lag)),
 
-for each s and lag; the one that explains most there is judged by the share of f that it explains
+for each s and lag, and once more on s itself at whichever lag up to a tenth of the record explains
+most there (an *echo*: a cut that meets the chip of the turn before, a loop with dead time); the one
+that explains most there is judged by the share of f that it explains
 on the other half, and the halves change places. Where f is random the same figure comes out of f
 shifted in time against s, whatever the spectra of both are (a circular shift; the surrogate of
 Andrzejak and others 2003, Phys. Rev. E 68): f is no chance where no shift by a tenth of the record
@@ -16,8 +18,8 @@ or more does as well, and more than a quarter of it is explained.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,13 +67,13 @@ def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
         return None
     most = slice(0, _MOST)
     curves = [
-        (name, lag * task.series.dt, curve)
-        for name, s in sources.items()
-        for lag, curve in _delayed_curves(s[most])
+        (name, lag, curve) for name, s in sources.items() for lag, curve in _delayed_curves(s[most])
     ]
+    moving = {name: s[most] for name, s in sources.items()}
     pushed = np.flatnonzero(forces.std(axis=0) > 0) if curves else []
-    tested = (_explained(task.states[i], forces[most, i], curves) for i in pushed)
-    return max((t for t in tested if t is not None), key=lambda t: t.share, default=None)
+    tested = (_explained(task.states[i], forces[most, i], curves, moving) for i in pushed)
+    found = max((t for t in tested if t is not None), key=lambda t: t.share, default=None)
+    return found and replace(found, lag=found.lag * task.series.dt)
 
 
 def followed_force_sentences(fit: LikelihoodFit) -> tuple[str, ...]:
@@ -113,23 +115,64 @@ def _delayed_curves(s: Array) -> Iterator[tuple[int, Array]]:
 
 
 def _explained(
-    state: str, force: Array, curves: list[tuple[str, float, Array]]
+    state: str, force: Array, curves: list[tuple[str, int, Array]], echoing: Mapping[str, Array]
 ) -> FollowedForce | None:
-    """What a force follows, where that is no chance."""
+    """What a force follows, and by how many samples, where that is no chance."""
     f, count = force - force.mean(), len(force)
+    reach = round(_NEAR * count)
     block = np.arange(count) * _BLOCKS // count
     halves = np.column_stack([block % 2 == 0, block % 2 == 1]).astype(float)
     energy = np.maximum(_correlate(halves, f**2), np.finfo(float).tiny)
-    fits = np.array([_regress_shifted(curve, f, halves, energy) for *_, curve in curves])
-    share, each = np.zeros(count), np.zeros(len(curves))
+    echoes = [_regress_echo(s, f, halves, energy, reach) for s in echoing.values()]
+    fits = np.array([
+        *(_regress_shifted(curve, f, halves, energy) for *_, curve in curves),
+        *(shares for shares, _ in echoes),
+    ])  # fmt: skip
+    share, each = np.zeros(count), np.zeros(len(fits))
     for inside, outside in fits.transpose(1, 2, 0, 3):  # of every curve, at every shift
         share += 0.5 * outside[np.argmax(inside, axis=0), np.arange(count)]
         each += 0.5 * outside[:, 0]
-    source, lag, _ = curves[int(np.argmax(each))]
-    far = np.arange(round(_NEAR * count), count - round(_NEAR * count))
+    told = [(name, lag) for name, lag, _ in curves]
+    told += [(name, lag) for name, (_, lag) in zip(echoing, echoes, strict=True)]
+    source, lag = told[int(np.argmax(each))]
+    far = np.arange(reach, count - 2 * reach)  # no lag of an echo comes near to none there
     if not (share[0] >= _SHARE and share[0] > share[far].max(initial=-np.inf)):
         return None
     return FollowedForce(state, source, lag, float(share[0]))
+
+
+def _regress_echo(
+    s: Array, force: Array, halves: Array, energy: Array, reach: int
+) -> tuple[Array, int]:
+    """As ``_regress_shifted`` for s alone, so many samples before as explain most on each half.
+
+    At a shift m these are m to m + ``reach``. The lag is that of the whole record, without shift.
+    """
+    z = s - s.mean()
+    parts = halves * z[:, None]
+    seen, squares = _correlate(parts, force), np.sum(parts**2, axis=0)
+    squares = np.maximum(squares, np.finfo(float).tiny)
+    told = seen**2 / squares[:, None] / energy
+    shares = []
+    for here, there in ((0, 1), (1, 0)):
+        at = _largest_within(told[here], reach)
+        b = seen[here, at] / squares[here]
+        left = (2 * b * seen[there, at] - b**2 * squares[there]) / energy[there, at]
+        shares.append((told[here, at], left))
+    whole = np.abs(seen.sum(axis=0))[:reach]
+    return np.array(shares), int(np.argmax(whole)) if len(whole) else 0
+
+
+def _largest_within(values: Array, width: int) -> Array:
+    """Where the largest of the next ``width`` values lies, from each place, around the end."""
+    at, span = np.arange(len(values)), 1
+
+    def better(first: Array, second: Array) -> Array:
+        return np.where(values[second] > values[first], second, first)
+
+    while 2 * span <= width:
+        at, span = better(at, np.roll(at, -span)), 2 * span
+    return better(at, np.roll(at, span - max(width, span)))
 
 
 def _regress_shifted(curve: Array, force: Array, halves: Array, energy: Array) -> Array:
