@@ -12,6 +12,7 @@ from spiral_plugins.effects.sensors import (
     delay_curvature,
     delayed,
     half_sample_remark,
+    scale_remark,
 )
 
 from spiral.math import tanh
@@ -35,6 +36,10 @@ class InputGain(InputEffect):
         """(1 + e) u."""
         (given,) = at.position
         return given + p.error * given
+
+    def remark(self, values, step):
+        """Remarks on a scale that no actuator is wrong by."""
+        return scale_remark([1 + values["error"]])
 
 
 class InputDeadZone(InputEffect):

@@ -5,12 +5,24 @@ A reading y is one value for each measured channel; q and q' are the true values
 
 from __future__ import annotations
 
+import math
+
 from spiral.math import cos, sin
 from spiral.types.effect import SensorEffect
 from spiral.types.parameter import Parameter, State
 
 _TURN = 6.283185307179586
 _NEAR = 0.1  # samples around half a sample
+_UNITS = {
+    **{10.0**k: f"10^{k}" for k in (-9, -6, -3, -2, 2, 3, 6, 9)},
+    9.80665: "g, 9.81 m/s^2",
+    180 / math.pi: "rad to degrees",
+    math.pi / 180: "degrees to rad",
+    2 * math.pi: "turns to rad",
+    60.0: "minutes to seconds",
+    3.6: "m/s to km/h",
+    25.4: "inches to mm",
+}  # of factors: what they convert
 _LATE = 1.5  # T over z halfway between a lag (1) and a delay (2)
 SCALE = Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True)
 
@@ -40,6 +52,10 @@ class Gain(SensorEffect):
     def reading(self, y, at, u, p):
         """(1 + e_i) y_i."""
         return [value + e * value for value, e in zip(y, p.error, strict=True)]
+
+    def remark(self, values, step):
+        """Remarks on a scale that no sensor is wrong by."""
+        return scale_remark(1 + error for error in values.values())
 
 
 class AxisRotation(SensorEffect):
@@ -162,6 +178,18 @@ class SensorLag(SensorEffect):
         if "scale" not in fitted or not times or max(times) < _LATE * fitted["scale"]:
             return ""
         return "what it reports first goes the other way, as a delay's reading does and no lag's"
+
+
+def scale_remark(factors):
+    """The remark on a factor beyond 1/2 to 2, or below zero; empty where there is none."""
+    worst = max(factors, key=lambda f: abs(math.log(max(abs(f), 1e-300))))
+    if worst < 0:
+        return f"a factor of {worst:.4g} turns the sign: a channel or an input has the other sense"
+    if 0.5 <= worst <= 2:
+        return ""
+    near = next((told for f, told in _UNITS.items() if 0.97 < worst / f < 1.03), "")
+    told = f" (near {near})" if near else ""
+    return f"a factor of {worst:.4g}{told} is a wrong unit or range sooner than a wrong scale"
 
 
 def half_sample_remark(late, step):

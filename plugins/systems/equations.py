@@ -58,6 +58,11 @@ class Equations(MechanicalSystem):
         return equations_of(self.text)
 
     @property
+    def title(self):
+        """That of the file."""
+        return self.form.definition.title or self.plugin_name()
+
+    @property
     def coordinates(self):
         """States that have an acceleration."""
         return self.form.coordinates

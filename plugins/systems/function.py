@@ -44,6 +44,13 @@ class Function(Outside):
         _ = self.ports
 
     @property
+    def title(self):
+        """That which was given."""
+        from spiral.physics.formulas.definition import parse_sections
+
+        return str(parse_sections(self.text).get("title") or self.plugin_name())
+
+    @property
     def wrapped(self):
         """The compiled function."""
         from spiral.physics.outside.function import wrap_function

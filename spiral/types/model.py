@@ -67,10 +67,10 @@ class Model:
 
     @property
     def name(self) -> str:
-        """The system's name, and the effects beside its seed."""
+        """The system's title, and the effects beside its seed."""
         seed = {e.label for e in self.system.seed}
         added = [label for label in self.labels if label not in seed]
-        return " with ".join(filter(None, [self.system.plugin_name(), ", ".join(added)]))
+        return " with ".join(filter(None, [self.system.title, ", ".join(added)]))
 
     def __post_init__(self) -> None:
         labels = [e.label for e in self.effects]

@@ -124,7 +124,8 @@ class Comparison(Readable):
         return Summary(
             f"Comparison of {self.model.name}",
             ("fit error", "test error", "noise floor", "chi2/dof"),
-            ((*map(percent, errors), number(self.chi2_per_dof)),), "; ".join(self.notes),
+            ((*map(percent, errors), number(self.chi2_per_dof)),),
+            "; ".join((*self.notes, *self.departures, *self.contradictions)),
         )  # fmt: skip
 
     def as_dict(self) -> dict[str, Any]:

@@ -33,6 +33,11 @@ class System(Plugin):
     kind: ClassVar[str] = "system"
 
     @property
+    def title(self) -> str:
+        """What the system is, in a few words; the plugin's name where none are given."""
+        return self.plugin_name()
+
+    @property
     @abstractmethod
     def states(self) -> tuple[State, ...]:
         """States in order, with units."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from spiral_plugins.effects.inputs import InputGain
+from spiral_plugins.effects.sensors import Gain
 
 from spiral.physics.formulas.definition import parse_sections
 from spiral.types.errors import ConfigError, near_misses
@@ -59,3 +61,18 @@ def test_a_name_without_its_owner_is_found():
     known = ["system.k_1", "system.k_2", "cubic_stiffness.k_1x"]
     assert near_misses("k_1", known)[0] == "system.k_1"
     assert near_misses("k1", known)[0] in {"system.k_1", "system.k_2"}
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (999.2, "10^3"),
+        (1.05e-3, ""),
+        (57.4, "rad to degrees"),
+        (-1.01, "turns the sign"),
+        (1.3, ""),
+    ],
+)
+def test_a_scale_that_no_sensor_is_wrong_by_is_told_as_a_unit(factor, words):
+    assert InputGain().remark({"error": factor - 1}, 0.01).count(words or "near") == bool(words)
+    assert bool(Gain().remark({"error_x": factor - 1}, 0.01)) == (factor != 1.3)

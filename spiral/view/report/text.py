@@ -109,10 +109,12 @@ def html_table(
 def report_header(saved: Saved, curves: Curves | None) -> str:
     """The head of the page: what the run found, in a headline and a sentence."""
     result, config = saved["result"], saved["config"]
-    what = config.get("experiment") or (config.get("system") or {}).get("name") or ""
+    system = config.get("system") or (saved.get("model") or {}).get("system") or {}
+    what = config.get("experiment") or system.get("name")
+    moment = f"{saved['created'][:16].replace('T', ' ')} UTC"
+    told = " · ".join(filter(None, (f"spiral {saved['verb']}", what and str(what), moment)))
     return (
-        f'<p class="kind">spiral {escape(saved["verb"])} · {escape(str(what))} · '
-        f"{escape(saved['created'][:16].replace('T', ' '))} UTC</p>"
+        f'<p class="kind">{escape(told)}</p>'
         f"<h1>{escape(_headline(result))}</h1>"
         f'<p class="lead">{escape(_outcome(result))}</p>'
     )
