@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from spiral.inference.problem import Problem, Progress, Settings
 from spiral.io import problem_setup
@@ -66,20 +66,21 @@ def read(
     """
     from spiral.io.readers.frames import NAME, is_frame, refuse_array, table_of
 
-    registry = _registry(plugins)
-    refuse_array(path)
-    if is_frame(path):
+    registry, given = _registry(plugins), cast("Any", path)
+    refuse_array(given)
+    single = isinstance(path, str | Path | Mapping) or is_frame(path)
+    several, parts = not single, [given] if single else list(given)
+    made = _system(system, registry)
+    if parts and all(map(is_frame, parts)):
         source = registry.make("source", "file", {"path": NAME, **fields}, "record")
-        records = source.records_of(_system(system, registry), table_of(path), NAME)
-        return records if len(records) > 1 else records[0]
-    several = not isinstance(path, str | Path | Mapping)
-    if isinstance(path, Mapping):
-        source = _plugin("source", {**path, **fields}, registry)
+        tables = map(table_of, parts)
+        records = [r for table in tables for r in source.records_of(made, table, NAME)]
+    elif isinstance(given, Mapping):
+        records = _plugin("source", {**given, **fields}, registry).load(made)
     else:
-        given = {"path": [str(p) for p in path] if several else str(path), **fields}
-        source = registry.make("source", "file", given, "record")
-    records = source.load(_system(system, registry))
-    return records if several or len(records) > 1 else records[0]
+        files = [str(p) for p in parts] if several else str(given)
+        records = registry.make("source", "file", {"path": files, **fields}, "record").load(made)
+    return tuple(records) if several or len(records) > 1 else records[0]
 
 
 def simulate(

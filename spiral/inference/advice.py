@@ -56,7 +56,7 @@ def advice_for(
         return _curve_advice(shape)
     if memory_sentence(rounds):
         return _FOR_MEMORY
-    if is_free_run_telling_little(last) and is_near_noise(last, settings):
+    if is_free_run_telling_little(last, settings) and is_near_noise(last, settings):
         return _FOR_OTHER_MOTION
     if verdict == "unknown_structure" and len(rounds) == 1:
         return _FOR_UNKNOWN

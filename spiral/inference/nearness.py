@@ -183,12 +183,14 @@ def is_free_run_carried_away(comparison: Comparison) -> bool:
     return comparison.random is not None and not _random_spread(comparison) < 1.0
 
 
-def is_free_run_telling_little(comparison: Comparison) -> bool:
-    """Whether a free run misses more than half of all motion, though it is not carried away.
+def is_free_run_telling_little(comparison: Comparison, settings: Settings) -> bool:
+    """Whether a free run misses more than half of all motion by what acts at random.
 
-    Random forces and uncertain values may explain that, and would hide whatever is as large.
+    That would hide whatever is as large. It is not so where the free run is carried away, nor where
+    a sensor's noise makes the error.
     """
-    return comparison.test_error > _HALF and not is_free_run_carried_away(comparison)
+    misses_most = comparison.test_error > _HALF and not is_free_run_carried_away(comparison)
+    return misses_most and is_moved_at_random(comparison, settings)
 
 
 def is_undecided(comparison: Comparison, stopped: StopReason, settings: Settings) -> bool:
@@ -197,7 +199,7 @@ def is_undecided(comparison: Comparison, stopped: StopReason, settings: Settings
     A free run tells little, or the search ended before all candidates were tried.
     """
     cut_short = stopped == "max_seconds" and is_moved_at_random(comparison, settings)
-    return is_free_run_telling_little(comparison) or cut_short
+    return is_free_run_telling_little(comparison, settings) or cut_short
 
 
 def is_moved_at_random(comparison: Comparison, settings: Settings) -> bool:

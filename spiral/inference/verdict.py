@@ -215,7 +215,7 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
         return words
     random = " ".join(filter(None, (random_sentence(comparison), record_sentence(comparison))))
     reasons = shortfalls(comparison, settings)
-    untold = not reasons and is_free_run_telling_little(comparison)
+    untold = not reasons and is_free_run_telling_little(comparison, settings)
     if verdict == "nothing_missing" or untold:
         if random_forces(comparison) and comparison.disturbed > comparison.noise_floor:
             words = "Nothing is missing but what acts at random"

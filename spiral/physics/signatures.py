@@ -35,7 +35,7 @@ from spiral.types.label import parameter_of
 from spiral.types.placement import check_effect, input_columns
 from spiral.types.port import At, Port
 from spiral.types.record import Array
-from spiral.types.system import System, has_coordinates, varied_key
+from spiral.types.system import MechanicalSystem, System, has_coordinates, varied_key
 
 Function = Callable[..., Any]
 _SMALL = 1e-8  # amplitude of an effect on an input, which may be linear to leading order only
@@ -125,9 +125,7 @@ def signatures(
         if isinstance(effect, InputEffect):
             return _actuator_slopes(along, effect, port, u, small, hidden)
         return _varied_slopes(along, effect, port, u, small)
-    gain = along.compute_once("pushed", lambda: _collapse_constant(_stack_matrix(
-        _injection_gain(system)(*along.states.T, *along.inputs.T, *along.parameters), count
-    )))  # fmt: skip
+    gain = along.compute_once("pushed", lambda: _collapse_constant(_injection_gain_along(along)))
     for j, p in enumerate(units):
         rates[:, :, j] = _apply_matrix(gain, _injected_values(along, effect, port, u, p, hidden))
     if system.readings:
@@ -370,12 +368,42 @@ def injection_slopes(system: System) -> sp.Matrix:
     return wanted.jacobian(list(pushes.values())).subs(dict.fromkeys(pushes.values(), 0))
 
 
+def _injection_gain_along(along: SystemMotion) -> Array:
+    """G (samples, n, injections): slopes of the rates by what is injected.
+
+    Of a mechanical system M^-1 for the accelerations, inverted sample by sample: as a formula the
+    inverse of six coordinates fills pages.
+    """
+    system, count = along.system, len(along.states)
+    if not has_coordinates(system):
+        rows = _injection_gain(system)(*along.states.T, *along.inputs.T, *along.parameters)
+        return _stack_matrix(rows, count)
+    mass = _mass_matrix(system)(*along.states.T, *along.parameters)
+    inverse = np.linalg.inv(_stack_matrix(mass, count))
+    states, names = [s.name for s in system.states], [c.name for c in system.coordinates]
+    gain = np.zeros((count, len(states), len(system.injections)))
+    pushed = [states.index(system.rate_name(n)) for n in names]
+    gain[:, pushed, : len(names)] = inverse
+    for j, other in enumerate(system.injections[len(names) :], len(names)):
+        gain[:, states.index(other.name), j] = 1.0
+    return gain
+
+
 @kept(32)
 def _injection_gain(system: System) -> Function:
     """G(x, u, p): slopes of the rates by what is injected."""
     traced = trace(system, ())
     slopes = injection_slopes(system).tolist()
     return sp.lambdify([*traced.x, *traced.u, *traced.p], slopes, "numpy")
+
+
+@kept(32)
+def _mass_matrix(system: MechanicalSystem) -> Function:
+    """M(x, p) of a mechanical system."""
+    traced = trace(system, ())
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    mass = system.mass(system.split(x)[0], _parameter_symbols(traced))
+    return sp.lambdify([*traced.x, *traced.p], mass, "numpy")
 
 
 @kept(128)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
@@ -63,22 +63,20 @@ class Record:
     growth: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        series = {"time": self.time, **self.channels, **self.inputs}
-        for key, values in series.items():
-            if np.shape(values) != np.shape(self.time) or np.ndim(values) != 1:
-                raise InputError(
-                    f"{self.name}: {key!r} of shape {np.shape(values)}",
-                    f"a number for every time, ({np.size(self.time)},)",
-                )
-            if not np.all(np.isfinite(values)):
-                row = int(np.flatnonzero(~np.isfinite(values))[0])
-                raise InputError(
-                    f"{self.name}: {key!r} is {values[row]} at row {row}", "numbers in every row",
-                    "spiral.read of a file or a DataFrame says what may be done about it",
-                )  # fmt: skip
-        if len(self.time) > 1:
-            _check_forward(self.name, self.time)
-            check_uniform(self.name, self.time)
+        time = _as_numbers(self.name, "time", self.time)
+        object.__setattr__(self, "time", time)
+        for group in ("channels", "inputs"):
+            given = {k: _as_numbers(self.name, k, v) for k, v in getattr(self, group).items()}
+            object.__setattr__(self, group, given)
+            for key, values in given.items():
+                if values.shape != time.shape:
+                    raise InputError(
+                        f"{self.name}: {key!r} of shape {values.shape}",
+                        f"a number for every time, ({len(time)},)",
+                    )
+        if len(time) > 1:
+            _check_forward(self.name, time)
+            check_uniform(self.name, time)
 
     def __repr__(self) -> str:
         length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
@@ -178,6 +176,28 @@ class Record:
             name: float(self.noise.get(name) or estimate_noise(self.valid_reading(name)))
             for name in self.channels
         }
+
+
+def _as_numbers(record: str, key: str, values: Any) -> Array:
+    """(samples,) finite numbers.
+
+    Raises
+    ------
+    InputError : no series, or one with text or gaps in it.
+    """
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{record}: {key!r}: {error}", "a series of numbers") from error
+    if numbers.ndim != 1:
+        raise InputError(f"{record}: {key!r} of shape {numbers.shape}", "a series, (samples,)")
+    if not np.all(np.isfinite(numbers)):
+        row = int(np.flatnonzero(~np.isfinite(numbers))[0])
+        raise InputError(
+            f"{record}: {key!r} is {numbers[row]} at row {row}", "numbers in every row",
+            "spiral.read of a file or a DataFrame says what may be done about it",
+        )  # fmt: skip
+    return numbers
 
 
 def make_record(

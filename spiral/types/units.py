@@ -30,10 +30,13 @@ from spiral.types.system import MechanicalSystem, System
 
 _POWER = re.compile(r"(?<=[/* ])([A-Za-zµΩ]+)(-?\d)\b")  # beside another unit: T2 may be a name
 _LENGTH_POWER = re.compile(r"^([kcdmuµ]?m)([23])\b")
+_PREFIX = "(?:da|[kMGcdmuµn])?"
 _TOGETHER = re.compile(
-    r"(?<!\w)(?:([kMGmuµn]?N|kg)m(?:(?:\*\*)?(-?\d))?|([kMGmuµn]?N)m(s)|([kMGmuµn]?(?:[NVAWJCKT]|Pa))(s))(?!\w)"
+    rf"(?<!\w)(?:({_PREFIX}N|kg)([cmk]?m)(s?)|({_PREFIX}(?:[NVAWJCKT]|Pa))(s))"
+    r"(?:(?:\*\*)?(-?\d+(?:\.\d+)?))?(?![\w.]|\*\*)"
 )
-_SUPERSCRIPTS = str.maketrans({"²": "**2", "³": "**3", "·": "*", "⋅": "*"})
+_TURNS = re.compile(r"(?<!\w)[Ur](?=/(?:min|s)\b)")  # U/min is an enzyme's unit to pint
+_SUPERSCRIPTS = str.maketrans({"²": "**2", "³": "**3", "·": "*", "⋅": "*", "\u03bc": "µ"})
 _GRAVITY = {"g": 9.80665, "mg": 9.80665e-3}  # of an acceleration, where pint reads grams
 _PER_TURN = {"hz": 2 * math.pi, "1/s": 2 * math.pi, "rpm": 2 * math.pi / 60, "rps": 2 * math.pi}
 _PER_TURN |= {f"{turn}/min": 2 * math.pi / 60 for turn in ("1", "u", "r", "rev")}
@@ -98,16 +101,16 @@ def spelled(unit: str) -> str:
 
     To pint ``Nm`` is a yarn's length for a mass, and ``As`` an ampere in the plural.
     """
-    text = _TOGETHER.sub(_apart, unit.translate(_SUPERSCRIPTS).replace("^", "**"))
+    text = _TURNS.sub("turn", unit.translate(_SUPERSCRIPTS).replace("^", "**"))
+    text = _TOGETHER.sub(_apart, text)
     return _POWER.sub(r"\1**\2", _LENGTH_POWER.sub(r"\1**\2", text))
 
 
 def _apart(match: re.Match[str]) -> str:
-    """``Nm`` -> ``(N*m)``, ``Nms`` -> ``(N*m*s)``, ``kgm2`` -> ``(kg*m**2)``."""
-    first, power, moment, _, impulse, _ = match.groups()
-    if moment:
-        return f"({moment}*m*s)"
-    return f"({impulse}*s)" if impulse else f"({first}*m**{power or 1})"
+    """``Nm`` -> ``(N*m)``, ``Nms^2`` -> ``(N*m*s**2)``, ``kgm2`` -> ``(kg*m**2)``."""
+    *parts, power = match.groups()
+    product = "*".join(filter(None, parts))
+    return f"({product}**{power})" if power else f"({product})"
 
 
 def _parse(unit: str) -> Any:

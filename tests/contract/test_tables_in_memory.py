@@ -32,6 +32,29 @@ def test_a_frame_is_read_as_its_file_is(frame, tmp_path):
         np.testing.assert_allclose(record.time, whole.time)
 
 
+def test_units_in_names_are_those_of_the_file(frame, tmp_path):
+    named = pd.DataFrame({"t [ms]": 1e3 * TIME, "x [mm]": frame["x"], "f": frame["f"]})
+    named.to_csv(tmp_path / "a.csv", index=False)
+    whole = spiral.read(tmp_path / "a.csv", "oscillator", **FIELDS)
+    record = spiral.read(named, "oscillator", **FIELDS)
+    np.testing.assert_allclose(record.channels["x"], 1e-3 * frame["x"])
+    np.testing.assert_allclose(record.channels["x"], whole.channels["x"])
+    assert record.dt == pytest.approx(0.01)
+
+
+def test_moments_of_every_kind_are_time(frame):
+    start = pd.Timestamp("2026-01-01 08:00", tz="Europe/Berlin")
+    moments = start + pd.to_timedelta(TIME, unit="s")
+    for clock in (moments, moments.to_pydatetime(), pd.to_timedelta(TIME, unit="s"), list(moments)):
+        record = spiral.read({**frame.drop(columns="t"), "t": clock}, "oscillator", **FIELDS)
+        assert record.dt == pytest.approx(0.01)
+
+
+def test_several_frames_are_several_records(frame):
+    pair = spiral.read([frame, frame[:200]], "oscillator", **FIELDS)
+    assert [r.samples for r in pair] == [400, 200]
+
+
 def test_units_and_rows_are_asked_of_a_frame_as_of_a_file(frame):
     parts = spiral.read(
         frame, "oscillator", **FIELDS, units={"x": "mm"}, rows=[[0, 150], [200, 400]]
@@ -45,6 +68,7 @@ def test_units_and_rows_are_asked_of_a_frame_as_of_a_file(frame):
     ("change", "words"),
     [
         (lambda f: f.to_numpy(), r"an array of shape \(400, 3\)"),
+        (lambda f: f["x"], r"an array of shape \(400,\)"),
         (lambda f: f.drop(columns="f"), "column 'f' of data"),
         (lambda f: f.assign(x=f["x"].where(f["t"] != 1.0)), "'x' of data, row 100: nan"),
         (lambda f: f.assign(x=["?"] * COUNT), "row 0: text '\\?'"),
@@ -68,11 +92,21 @@ ONE_NAN = np.where(np.arange(COUNT) == 3, np.nan, np.sin(TIME))
         (TIME, ONE_NAN, "'x' is nan at row 3"),
         (TIME, np.sin(TIME)[None], r"shape \(1, 400\)"),
         (TIME, np.sin(TIME)[:-5], r"shape \(395,\)"),
+        (TIME, ["much"] * COUNT, "could not convert"),
     ],
 )
 def test_a_record_is_a_number_for_every_even_step(time, values, words):
     with pytest.raises(InputError, match=words):
         spiral.Record("bench", time, {"x": values}, {"force": np.cos(TIME)})
+
+
+def test_a_record_takes_series_of_a_frame_and_numbers_as_objects(frame):
+    late = frame[5:]
+    record = spiral.Record(
+        "bench", late["t"], {"x": late["x"].astype(object)}, {"force": late["f"]}
+    )
+    assert record.samples == COUNT - 5
+    assert record.channels["x"].dtype == float
 
 
 def test_a_record_of_another_system_is_refused():
@@ -93,5 +127,7 @@ def test_arguments_of_a_wrong_kind_are_answered_in_words():
     record = spiral.Record("bench", TIME, {"x": np.sin(TIME)}, {"force": np.cos(TIME)})
     with pytest.raises(ConfigError, match="settings=3"):
         spiral.compare(record, "oscillator", settings=3)
+    with pytest.raises(ConfigError, match="rows"):
+        spiral.read({"t": TIME, "x": TIME, "f": TIME}, "oscillator", **FIELDS, rows=[])
     with pytest.raises(ConfigError, match="did you mean 'cubic_stiffness'"):
         spiral.discover(record, "oscillator", candidates="cubic_stifness")

@@ -34,8 +34,34 @@ def test_an_input_that_a_bridge_tells_is_bridged(smooth, lost):
 def test_an_input_that_would_be_made_up_is_refused_with_the_rows_beside_it(smooth, lost):
     with pytest.raises(InputError) as caught:
         read(smooth, lost)
-    assert f"'force' is missing for {lost} samples at 4 s (row 400)" in caught.value.given
+    assert f"up to {lost} samples in a row (at 4 s)" in caught.value.given
     assert caught.value.try_.startswith(f"record.rows='[[0, 400], [400, {COUNT - lost}]]'")
+
+
+def cells_lost(where, count=2000):
+    """Of a force that is white noise, these cells are empty."""
+    rng = np.random.default_rng(3)
+    force = rng.normal(size=count)
+    force[where] = np.nan
+    return spiral.read(
+        {"t": np.arange(count) / RATE, "x": rng.normal(size=count), "f": force}, "oscillator",
+        time="t", channels={"x": "x"}, inputs={"force": "f"}, fill_gaps=60,
+    )  # fmt: skip
+
+
+def test_a_cell_that_is_lost_of_many_is_bridged_though_no_bridge_tells_it():
+    assert cells_lost(777).samples == 2000
+
+
+@pytest.mark.parametrize(("every", "lost", "words"), [
+    (20, 1, "fewer gaps"), (40, 10, "fewer gaps"), (30, 15, "fewer gaps"),
+    (400, 50, "record.rows='[[0, 400], [450, 800], [850, 1200], [1250, 1600], [1650, 2000]]'"),
+])  # fmt: skip
+def test_gaps_all_over_are_refused(every, lost, words):
+    where = np.flatnonzero(np.arange(2000) % every < lost)
+    with pytest.raises(InputError) as caught:
+        cells_lost(where[where >= lost])
+    assert words in caught.value.try_
 
 
 def test_stamps_that_scatter_are_told_from_steps_that_differ():

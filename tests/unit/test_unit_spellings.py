@@ -16,6 +16,8 @@ WRITTEN = [
     ("Ns/m", "N*s/m"), ("Vs/rad", "V*s/rad"), ("As", "A*s"), ("Js", "J*s"), ("Pas", "Pa*s"),
     ("kgm2", "kg*m**2"), ("kgm²", "kg*m**2"), ("kgm^2/s", "kg*m**2/s"), ("kg*m²", "kg*m**2"),
     ("m3/s", "m**3/s"), ("mm2", "mm**2"), ("m3 s-1", "m**3/s"), ("kOhm", "kohm"),
+    ("Ns^2/m^2", "N*s**2/m**2"), ("Nms^2/rad^2", "N*m*s**2/rad**2"), ("Nm^10", "N*m**10"),
+    ("Nm-1", "N/m"), ("cNm", "cN*m"), ("daNm", "daN*m"), ("\u03bcNm", "µN*m"), ("Nmm", "N*mm"),
     ("m/s2", "m/s**2"), ("1/s", "1/s"), ("rev", "turn"), ("Torr", "torr"),
 ]  # fmt: skip
 
@@ -36,6 +38,8 @@ def test_units_of_one_word_stay_what_they_are(unit):
 @pytest.mark.parametrize("unit", ["rpm", "U/min", "1/min", "rev/min", "r/min"])
 def test_turns_per_minute_in_every_spelling(unit):
     assert conversion(unit, "rad/s", "speed")[0] == pytest.approx(0.10471975511965977)
+    if unit != "1/min":
+        assert conversion(unit, "rpm", "speed")[0] == pytest.approx(1.0)
 
 
 def test_an_unknown_unit_is_named():

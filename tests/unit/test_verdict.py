@@ -118,6 +118,13 @@ def test_a_free_run_that_misses_half_of_all_motion_is_no_proof(error, moved, wor
     assert verdict_sentence("nothing_missing", pushed, SETTINGS).startswith(words)
 
 
+def test_a_noisy_sensor_hides_nothing():
+    noisy = replace(GOOD, random={}, disturbed=1e-5, test_error=0.54, noise_floor=0.55)
+    seed = Round(0, (), {}, {}, (), noisy, 1.0)
+    assert seed_verdict(seed, "no_candidate", SETTINGS) == "nothing_missing"
+    assert verdict_sentence("nothing_missing", noisy, SETTINGS).startswith("Nothing is missing:")
+
+
 @pytest.mark.parametrize(
     ("error", "stopped", "verdict"),
     [

@@ -108,6 +108,8 @@ class Columns(Source):
                 "one of them",
                 "give the rate only where the file has no column of time",
             )
+        if self.rows is not None and not len(self.rows):
+            raise ConfigError("record.rows=[]", "[start, stop], or several such", "or leave it out")
         for name in ("rate", "resample"):
             rate = getattr(self, name)
             if rate is not None and not (np.isfinite(rate) and rate > 0):

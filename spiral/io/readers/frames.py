@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from spiral.io.readers.dialect import units_in_names
 from spiral.io.readers.table import Table
 from spiral.types.errors import ConfigError, InputError
 
@@ -41,14 +42,15 @@ def table_of(given: Any) -> Table:
                 f"column {name!r} of shape {np.shape(values)}", "a series of numbers, (samples,)",
                 "one name for each series",
             )  # fmt: skip
-    return Table(NAME, {str(k): _plain_series(v) for k, v in columns.items()})
+    series = {str(k): _plain_series(v) for k, v in columns.items()}
+    return Table(NAME, series, units_in_names(series))
 
 
 def refuse_array(given: Any) -> None:
-    """Refuse an array: its columns have no names."""
-    if isinstance(given, np.ndarray):
+    """Refuse an array or a single series: there are no names in it."""
+    if isinstance(given, np.ndarray) or (hasattr(given, "to_numpy") and not is_frame(given)):
         raise ConfigError(
-            f"an array of shape {given.shape}",
+            f"an array of shape {np.shape(given)}",
             "a file, a DataFrame, or series by name",
             "spiral.read({'t': a[:, 0], 'x': a[:, 1]}, system, time='t')",
         )
@@ -59,6 +61,13 @@ def _counts_rows(index: Any) -> bool:
 
 
 def _plain_series(values: Any) -> Any:
-    """As the reader of tables takes it: numbers, moments or text, rows counted from zero."""
-    plain = values.to_numpy() if hasattr(values, "to_numpy") else np.asarray(values)
+    """As the reader of tables takes it: numbers, seconds, moments or text, rows from zero."""
+    import pandas as pd
+
+    series = pd.Series(np.asarray(values) if isinstance(values, np.ndarray) else list(values))
+    if isinstance(series.dtype, pd.DatetimeTZDtype):
+        return series.dt.tz_convert(None).to_numpy()
+    if pd.api.types.is_timedelta64_dtype(series):
+        return series.dt.total_seconds().to_numpy()
+    plain = series.infer_objects().to_numpy()
     return plain.astype(str) if plain.dtype == object else plain

@@ -18,8 +18,9 @@ Array = np.ndarray
 _FINEST = 20000  # largest denominator of a change of rate
 _TAPS = 10  # half length of the anti-alias filter, in samples of the lower rate
 _KAISER = 5.0
-_MADE_UP = 0.5  # of an input's deviation, missed by a bridge that tells too little
+_MADE_UP = 0.1  # of an input (rms), made up: as little as an effect that counts (Settings.smallest)
 _CONTEXT, _TRIED = 8, 100  # samples beside a bridge, and places at which its length is tried
+_LISTED = 5  # stretches between gaps that are named
 _SKIP = 1.5  # a step longer than the usual one by this skips at least one sample
 
 
@@ -150,40 +151,69 @@ def _check_bridges(
     series: FileSeries, time: Array, key: str, values: Array, gaps: list[tuple[int, int]],
     first: int,
 ) -> None:  # fmt: skip
-    """Refuse the longest gap of an input where a bridge of its length tells too little of it.
+    """Refuse gaps of an input over which bridges of that length tell too little of it.
 
     What drives the machine is then made up there, and looks like a force that nobody knows.
     """
     start, stop = max(gaps, key=lambda gap: gap[1] - gap[0])
+    lost = sum(b - a for a, b in gaps) / len(values)
     missed = _bridging_error(values, gaps, stop - start)
-    if not missed > _MADE_UP:
+    if not missed * np.sqrt(lost) > _MADE_UP:
         return
-    before, after = (first + int(np.searchsorted(series.time, time[i])) for i in (start, stop))
-    last = first + len(series.time)
     raise InputError(
-        f"{series.name}: input {key!r} is missing for {_samples(stop - start)} at "
-        f"{time[start]:.6g} s (row {before}); where it is known, a bridge of that length misses "
-        f"{missed:.0%} of it",
+        f"{series.name}: input {key!r} is missing for {lost:.2g} of the time, up to "
+        f"{_samples(stop - start)} in a row (at {time[start]:.6g} s); where it is known, a bridge "
+        f"of that length misses {missed:.0%} of it",
         "gaps over which an input can be told",
-        f"record.rows='[[{first}, {before}], [{after}, {last}]]' takes what is before and after "
-        "the gap as two records",
+        _suggest_stretches(series, time, gaps, first),
     )
 
 
+def _suggest_stretches(
+    series: FileSeries, time: Array, gaps: list[tuple[int, int]], first: int
+) -> str:
+    """Advice: the rows between the gaps that are long enough for a record, the longest first."""
+    ends, half = [0, *(i for gap in gaps for i in gap), len(time)], 0.5 * (time[1] - time[0])
+
+    def row(sample: int) -> int:
+        return first + int(np.searchsorted(series.time, time[sample] - half))
+
+    between = zip(ends[::2], ends[1::2], strict=True)
+    rows = [(row(a), row(b - 1) + 1) for a, b in between if b > a]
+    rows = [(a, b) for a, b in rows if b - a >= MINIMUM_SAMPLES]
+    if not rows:
+        return "a record in which this input has fewer gaps"
+    longest = sorted(sorted(rows, key=lambda ab: ab[0] - ab[1])[:_LISTED])
+    told = ", ".join(f"[{a}, {b}]" for a, b in longest)
+    what = "what is between the gaps" if len(longest) > 1 else "the longest stretch without any"
+    return f"record.rows='[{told}]' takes {what}, each stretch as a record of its own"
+
+
 def _bridging_error(values: Array, gaps: list[tuple[int, int]], length: int) -> float:
-    """What bridges of so many samples miss where values are known, over their deviation (rms)."""
+    """What bridges of so many samples miss where values are known, over their deviation (rms).
+
+    Shorter ones are tried where so many are nowhere known in a row.
+    """
     known = np.ones(len(values), dtype=bool)
     for start, stop in gaps:
         known[start:stop] = False
-    missed, spread = [], float(values[known].std())
-    reach = length + 2 * _CONTEXT
-    for at in np.linspace(0, max(len(values) - reach, 0), _TRIED).astype(int):
-        part = values[at : at + reach].copy()
-        if len(part) == reach and known[at : at + reach].all():
-            true = part[_CONTEXT : _CONTEXT + length].copy()
-            part[_CONTEXT : _CONTEXT + length] = np.nan
-            missed.append(_interpolate_missing(part)[_CONTEXT : _CONTEXT + length] - true)
-    return float(np.sqrt(np.mean(np.square(missed)))) / spread if missed and spread > 0 else 0.0
+    spread = float(values[known].std()) if known.any() else 0.0
+    while length and spread > 0:
+        reach = length + 2 * _CONTEXT
+        whole = np.flatnonzero(np.convolve(known, np.ones(reach), "valid") == reach)
+        if len(whole):
+            places = whole[np.linspace(0, len(whole) - 1, _TRIED).astype(int)]
+            missed = [_bridge_miss(values[at : at + reach]) for at in places]
+            return float(np.sqrt(np.mean(np.square(missed)))) / spread
+        length //= 2
+    return 1.0 if spread > 0 else 0.0
+
+
+def _bridge_miss(values: Array) -> Array:
+    """What a bridge over all but ``_CONTEXT`` values at either end misses."""
+    part = values.copy()
+    part[_CONTEXT:-_CONTEXT] = np.nan
+    return (_interpolate_missing(part) - values)[_CONTEXT:-_CONTEXT]
 
 
 def _samples(count: int) -> str:
