@@ -13,9 +13,10 @@ from spiral.engine.start import fill_like_states
 from spiral.inference.simulate import SUBSTEPS
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.batch import Batch
+from spiral.types.clock import MINIMUM_SAMPLES
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.model import Model
-from spiral.types.record import MINIMUM_SAMPLES, Array
+from spiral.types.record import Array
 
 Varied = Mapping[str, Any]
 

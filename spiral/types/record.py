@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
+from spiral.types.clock import MINIMUM_SAMPLES, check_forward, check_time, check_uniform
 from spiral.types.errors import InputError, did_you_mean
 from spiral.types.invalid import InvalidReadings, bridged, clipping, spoilt_readings
 from spiral.types.noise import estimate_noise
@@ -22,11 +23,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
-MINIMUM_SAMPLES = 64
-JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
 
-_COARSE = 0.02  # share of steps of zero from which a clock is coarser than the rows
-_SCATTERED = -0.25  # correlation of a time step and the next: half that of stamps that scatter
 _MOST_MISSING = 0.5  # share of a channel's readings that may be missing and left out
 
 
@@ -75,7 +72,7 @@ class Record:
                         f"a number for every time, ({len(time)},)",
                     )
         if len(time) > 1:
-            _check_forward(self.name, time)
+            check_forward(self.name, time)
             check_uniform(self.name, time)
 
     def __repr__(self) -> str:
@@ -229,7 +226,7 @@ def make_record(
     known = {k: np.asarray(v, dtype=float) for k, v in inputs.items()}
     _check_names(system, given, known)
     held = _check_hold(system, hold or {})
-    _check_time(name, time)
+    check_time(name, time)
     missing = {k: _missing_mask(v) for k, v in given.items()}
     given = {k: bridged(v, missing[k]) for k, v in given.items()}
     _check_series(name, given, known, len(time))
@@ -362,86 +359,6 @@ def _check_names(system: System, channels: dict[str, Array], inputs: dict[str, A
                 f"also {item.name!r} in {item.unit}, which drives system {name!r}",
                 f"name its column: record.inputs='{{{item.name}: COLUMN}}'",
             )
-
-
-def check_increasing(name: str, time: Array) -> None:
-    """Refuse too few samples, and time that is not a number or does not increase."""
-    if len(time) < MINIMUM_SAMPLES:
-        raise InputError(
-            f"{name}: {len(time)} samples", f"at least {MINIMUM_SAMPLES}", "use a longer record"
-        )
-    if not np.all(np.isfinite(time)):
-        row = int(np.flatnonzero(~np.isfinite(time))[0])
-        raise InputError(f"{name}: time at row {row} is not a number", "numbers in every row")
-    _check_forward(name, time)
-
-
-def _check_forward(name: str, time: Array) -> None:
-    """Refuse time that stands or runs backwards."""
-    steps = np.diff(time)
-    back = np.flatnonzero(steps <= 0)
-    if not len(back):
-        return
-    row = int(back[0]) + 1
-    raise InputError(
-        f"{name}: time runs from {time[row - 1]:.9g} s to {time[row]:.9g} s at row {row}",
-        "time that increases in every row",
-        _suggest_forward_steps(steps),
-    )
-
-
-def _suggest_forward_steps(steps: Array) -> str:
-    """Advice where time stands or runs backwards: a coarse clock, a wrong order, rows twice."""
-    if np.all(steps == 0):
-        return "record.rate=HZ in place of the column of time, where the rows are evenly spaced"
-    if np.mean(steps == 0) > _COARSE and np.all(steps >= 0):
-        return (
-            f"the clock is coarser than the rows: record.rate={1 / float(np.mean(steps)):.6g} in "
-            "place of the column of time, where they are evenly spaced"
-        )
-    return "sort the rows by time, and drop those that stand there twice"
-
-
-def _check_time(name: str, time: Array) -> None:
-    check_increasing(name, time)
-    check_uniform(name, time)
-
-
-def check_uniform(name: str, time: Array) -> None:
-    """Refuse time whose steps differ."""
-    steps = np.diff(time)
-    mean = (time[-1] - time[0]) / (len(time) - 1)
-    worst = int(np.argmax(np.abs(steps - mean)))
-    if abs(steps[worst] - mean) > JITTER * mean:
-        raise InputError(
-            f"{name}: steps of time differ ({steps.min():.6g} to {steps.max():.6g} s, "
-            f"worst after row {worst})",
-            f"a uniform step (here {mean:.6g} s within {JITTER:.0%})",
-            _suggest_even_steps(steps, mean),
-        )
-
-
-def _suggest_even_steps(steps: Array, mean: float) -> str:
-    """Advice where time steps differ: bridge gaps, resample uneven steps, count rows.
-
-    Steps between stamps that scatter about an even clock are followed by opposite ones (their
-    correlation is -1/2); those of readings that were taken unevenly are not.
-    """
-    longest, apart = float(steps.max() / np.median(steps)), steps - mean
-    following = float(apart[1:] @ apart[:-1]) / float(apart @ apart)
-    if following < _SCATTERED:
-        return (
-            f"the stamps scatter about an even clock: record.rate={1 / mean:.6g} in place of the "
-            f"column of time; record.resample={1 / mean:.4g} where the readings were taken so"
-        )
-    if longest > 1.5:
-        return (
-            f"record.resample={1 / mean:.4g} makes uneven steps even; where samples are missing, "
-            f"record.fill_gaps={round(longest) - 1} bridges so many, record.rows cuts there"
-        )
-    return (
-        f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"
-    )
 
 
 def _check_series(

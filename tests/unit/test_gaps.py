@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import spiral
+from spiral.types.clock import suggest_even_steps, suggest_forward_steps
 from spiral.types.errors import InputError
-from spiral.types.record import _suggest_even_steps, _suggest_forward_steps
 
 COUNT, RATE = 1000, 100.0
 TIME = np.arange(COUNT) / RATE
@@ -68,8 +68,8 @@ def test_stamps_that_scatter_are_told_from_steps_that_differ():
     rng = np.random.default_rng(2)
     scattered = np.diff(TIME + 0.3 / RATE * rng.uniform(-1, 1, COUNT))
     uneven = 1 / RATE * rng.uniform(0.4, 1.6, COUNT)
-    assert "record.rate=100" in _suggest_even_steps(scattered, 1 / RATE)
-    assert "scatter" not in _suggest_even_steps(uneven, float(uneven.mean()))
+    assert "record.rate=100" in suggest_even_steps(scattered, 1 / RATE)
+    assert "scatter" not in suggest_even_steps(uneven, float(uneven.mean()))
 
 
 @pytest.mark.parametrize(
@@ -82,4 +82,4 @@ def test_stamps_that_scatter_are_told_from_steps_that_differ():
     ],
 )
 def test_what_is_wrong_with_time_is_told(time, words):
-    assert words in _suggest_forward_steps(np.diff(time))
+    assert words in suggest_forward_steps(np.diff(time))

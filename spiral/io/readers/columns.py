@@ -16,9 +16,10 @@ from spiral.io.readers.layout import ColumnLayout
 from spiral.io.readers.pulses import Edge
 from spiral.io.readers.sampling import FileSeries, interpolate_gaps, resample_series
 from spiral.io.readers.table import Table
+from spiral.types.clock import check_increasing
 from spiral.types.errors import ConfigError, InputError, did_you_mean
 from spiral.types.fields import construct
-from spiral.types.record import Array, Record, check_increasing, check_noise, make_record
+from spiral.types.record import Array, Record, check_noise, make_record
 from spiral.types.source import Source
 from spiral.types.system import System
 

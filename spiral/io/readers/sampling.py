@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from spiral.types.clock import JITTER, MINIMUM_SAMPLES
 from spiral.types.errors import InputError
-from spiral.types.record import JITTER, MINIMUM_SAMPLES
 from spiral.types.system import System
 
 Array = np.ndarray
