@@ -16,26 +16,43 @@ def jacobian_names(traced: TracedModel) -> frozenset[str] | None:
     which one factor at most holds states. What is linear in another form (a fraction that would
     cancel) counts as one that depends on them.
     """
-    states, symbols = frozenset[sp.Basic](traced.x), set[sp.Basic]()
-    if not all(_gather_coefficients(rate, states, symbols) for rate in traced.rate):
+    gathered = _Coefficients(frozenset(traced.x))
+    if not all(map(gathered.is_linear, traced.rate)):
         return None
     known = dict(zip(traced.p, traced.keys, strict=True))
     known |= dict(zip(traced.u, traced.inputs, strict=True))
-    return frozenset(name for symbol, name in known.items() if symbol in symbols)
+    return frozenset(name for symbol, name in known.items() if symbol in gathered.symbols)
 
 
-def _gather_coefficients(
-    term: sp.Basic, states: frozenset[sp.Basic], symbols: set[sp.Basic]
-) -> bool:
-    """Whether a term is linear in the states; the symbols of its coefficients are added."""
-    if term in states or term.free_symbols.isdisjoint(states):
-        return True
-    if isinstance(term, sp.Add):
-        return all(_gather_coefficients(part, states, symbols) for part in term.args)
-    if not isinstance(term, sp.Mul):
-        return False
-    inner = [part for part in term.args if not part.free_symbols.isdisjoint(states)]
-    for part in term.args:
-        if part not in inner:
-            symbols |= part.free_symbols
-    return len(inner) == 1 and _gather_coefficients(inner[0], states, symbols)
+class _Coefficients:
+    """Symbols of the coefficients of the states, gathered term by term.
+
+    What a term contains is asked once for each term: the inverse of a mass matrix of six
+    coordinates repeats the same ones all over.
+    """
+
+    def __init__(self, states: frozenset[sp.Basic]) -> None:
+        self.states, self.symbols = states, set[sp.Basic]()
+        self._free: dict[sp.Basic, frozenset[sp.Basic]] = {}
+
+    def free_symbols(self, term: sp.Basic) -> frozenset[sp.Basic]:
+        """Those of a term, as ``term.free_symbols``."""
+        if (known := self._free.get(term)) is None:
+            parts = map(self.free_symbols, term.args)
+            known = frozenset().union(*parts) if term.args else frozenset(term.free_symbols)
+            self._free[term] = known
+        return known
+
+    def is_linear(self, term: sp.Basic) -> bool:
+        """Whether a term is linear in the states; the symbols of its coefficients are kept."""
+        if term in self.states or self.free_symbols(term).isdisjoint(self.states):
+            return True
+        if isinstance(term, sp.Add):
+            return all(map(self.is_linear, term.args))
+        if not isinstance(term, sp.Mul):
+            return False
+        inner = [part for part in term.args if not self.free_symbols(part).isdisjoint(self.states)]
+        for part in term.args:
+            if part not in inner:
+                self.symbols |= self.free_symbols(part)
+        return len(inner) == 1 and self.is_linear(inner[0])
