@@ -217,9 +217,10 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
     reasons = shortfalls(comparison, settings)
     untold = not reasons and is_free_run_telling_little(comparison, settings)
     if verdict == "nothing_missing" or untold:
-        if random_forces(comparison) and comparison.disturbed > comparison.noise_floor:
+        if untold:
+            words = UNTOLD
+        elif random_forces(comparison) and comparison.disturbed > comparison.noise_floor:
             words = "Nothing is missing but what acts at random"
-        words = UNTOLD if untold else words
         return f"{words}: {_figures_clause(comparison, settings)}.{' ' + random if random else ''}"
     if (
         len(reasons) == 1

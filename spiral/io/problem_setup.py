@@ -35,7 +35,6 @@ def candidates_for(
     ------
     ConfigError : an effect that does not fit the system.
     """
-    named = (named,) if isinstance(named, str) else named
     if named is None:
         effects = registry.candidates(model.system, everywhere)
     else:

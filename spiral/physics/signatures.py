@@ -372,10 +372,11 @@ def _injection_gain_along(along: SystemMotion) -> Array:
     """G (samples, n, injections): slopes of the rates by what is injected.
 
     Of a mechanical system M^-1 for the accelerations, inverted sample by sample: as a formula the
-    inverse of six coordinates fills pages.
+    inverse of six coordinates fills pages. One with rates of its own is asked by its formulas: a
+    program may take a force through an input.
     """
     system, count = along.system, len(along.states)
-    if not has_coordinates(system):
+    if not has_coordinates(system) or type(system).rate is not MechanicalSystem.rate:
         rows = _injection_gain(system)(*along.states.T, *along.inputs.T, *along.parameters)
         return _stack_matrix(rows, count)
     mass = _mass_matrix(system)(*along.states.T, *along.parameters)

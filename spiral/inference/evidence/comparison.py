@@ -87,16 +87,10 @@ def last_stage(
 
 def standard_errors(assembly: Assembly, fit_state: FitState, stage: Stage) -> dict[str, float]:
     """Standard error of every fitted parameter, inflated where chi2 per dof is above 1."""
-    moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
     if stage.fitted.reduction is None:
         return {}
     spread = standard_deviations(stage.fitted) * np.sqrt(max(stage.fitted.chi2_per_dof, 1.0))
-    errors: dict[str, float] = {}
-    for i, position in enumerate(moving.index):
-        if position >= len(assembly.study.keys):
-            continue
-        errors.setdefault(assembly.study.keys[position], float(spread[i]))
-    return errors
+    return {k: float(spread[i]) for k, i in _first_columns(assembly, fit_state).items()}
 
 
 def fitted_model(assembly: Assembly, fit_state: FitState, stage: Stage) -> Model:
@@ -111,14 +105,20 @@ def fitted_model(assembly: Assembly, fit_state: FitState, stage: Stage) -> Model
 def _error_correlations(
     assembly: Assembly, fit_state: FitState, stage: Stage
 ) -> dict[str, dict[str, float]]:
-    """Correlations of the standard errors, of a record's own parameters those of the first."""
+    """Correlations of the standard errors."""
+    first = _first_columns(assembly, fit_state)
+    columns = list(first.values())
+    return correlations_by_name(tuple(first), covariance(stage.fitted)[np.ix_(columns, columns)])
+
+
+def _first_columns(assembly: Assembly, fit_state: FitState) -> dict[str, int]:
+    """The column of every fitted parameter; of a record's own parameters that of the first."""
     moving, _ = columns_with_bounds(assembly, fit_state.keys(assembly))
     first: dict[str, int] = {}
     for column, position in enumerate(moving.index):
         if position < len(assembly.study.keys):
             first.setdefault(assembly.study.keys[position], column)
-    columns = list(first.values())
-    return correlations_by_name(tuple(first), covariance(stage.fitted)[np.ix_(columns, columns)])
+    return first
 
 
 def compare_fit(

@@ -160,7 +160,10 @@ class Estimation(Readable):
         """Which parameters' uncertainty the bands hold."""
         prior = self.parts[0].task.prior
         if prior is None:
-            return "The bands hold for a model whose parameters are exact (uncertain= widens them)."
+            return (
+                "The bands hold for a model whose parameters are exact (uncertain= with ekf, "
+                "ukf or rts widens them)."
+            )
         count = len(prior.keys)
         noun = "parameter" if count == 1 else "parameters"
         return f"The bands hold the uncertainty of {count} {noun} as well."
