@@ -21,9 +21,12 @@ from spiral.io.storage import model_data, rebuild_model
 from spiral.io.testing import check_system, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.outside import fmi
+from spiral.physics.signatures import SystemMotion, _injection_gain_along
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError, SpiralError
+from spiral.types.label import parameter_of
 from spiral.types.model import seed_model
+from spiral.types.placement import input_columns
 from tests.scenes import evaluated
 
 pytest.importorskip("fmpy", reason="FMPy is not installed")
@@ -215,6 +218,25 @@ def test_what_is_hidden_behind_an_fmu_is_named(opened, name):
     case, kind = OF[name], KINDS[OF[name].kind]
     run, _ = asked(record(case, kind), opened[name][1], kind)
     assert run.missing == (case.effect,)
+
+
+@pytest.mark.parametrize("name", ["quarter_car_3", "cylinder_C"])
+def test_scores_know_that_a_force_goes_through_an_input(opened, name):
+    """The slope of the rates by a force: the program's own, and not 1 over the mass around it."""
+    model, rng = opened[name][1], np.random.default_rng(4)
+    x, u = 0.1 * rng.normal(size=len(model.states)), rng.normal(size=len(input_columns(model)))
+    given = {p.name: p.start for p in model.parameters}
+    values = given | {parameter_of(k): v for k, v in model.defaults.items()}
+    seen = np.zeros((1, len(model.observed)))
+    gain = _injection_gain_along(SystemMotion(model, x[None], u[None], 0 * x[None], seen, values))
+    names = [i.name for i in model.injections]
+    for port in (p for p in model.ports if p.axes == (p.name,)):
+        load = load_registry(NO_FOLDER).effect_from_label(f"constant_load@{port.name}")
+        key = f"{load.label}.force"
+        still, pushed = (evaluated(model, (load,), {key: f}, (x, u))[0] for f in (0.0, 1.0))
+        slope = gain[0, :, names.index(port.name)]
+        assert slope == pytest.approx(pushed - still, rel=1e-4, abs=1e-9)  # by differences
+        assert np.any(slope)
 
 
 def test_an_acceleration_of_an_fmu_is_a_channel(opened):
