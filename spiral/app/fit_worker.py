@@ -301,7 +301,7 @@ class FitWorker:
         write_whole(folder / KEYS, to_json(list(held.study.keys)))
         last = at.rounds[-1]
         problem = self._assembly().problem
-        floor = tellable_noise_floor(last.comparison.noise_floor, problem.test or problem.records)
+        floor = tellable_noise_floor(last.comparison.floor, problem.test or problem.records)
         self.tell(
             "turn",
             {

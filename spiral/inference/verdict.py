@@ -259,7 +259,7 @@ def _explains_fitted(comparison: Comparison, settings: Settings) -> bool:
 
 
 def _figures_clause(comparison: Comparison, settings: Settings) -> str:
-    floor = percent(comparison.noise_floor)
+    floor = percent(comparison.floor)
     error = f"the test error is {percent(comparison.test_error)} (noise floor {floor})"
     if (
         is_free_run_carried_away(comparison)
@@ -422,7 +422,7 @@ def _error_clause(first: Comparison, last: Comparison) -> str:
     before, after, floor = (
         next_sample_error(first),
         next_sample_error(last),
-        percent(last.noise_floor),
+        percent(last.floor),
     )
     if is_free_run_carried_away(last) and before is not None and after is not None:
         return (

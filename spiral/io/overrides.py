@@ -6,6 +6,7 @@ fields of chosen effects. Fields that take a mapping accept any key below them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -14,6 +15,7 @@ from typing import Any
 from spiral.types.errors import ConfigError, did_you_mean
 
 _LONGEST, _DEEPEST = 20_000, 50  # letters, and brackets in one another
+_NAME = re.compile(r"[\w./\\%°-][\w ./\\%°^*:'()\[\]{}-]*")  # of a column or a file, units too
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ def _parse_with_hydra(texts: Sequence[str]) -> list[Any]:
                 "a preset: a file in experiment/",
             )
         try:
-            parsed.append(parser.parse_override(_quote_formula(text)))
+            parsed.append(_parse_one(parser, _quote_formula(text)))
         except (HydraException, ValueError) as error:  # a number of thousands of digits
             raise ConfigError(
                 f"{text[:200]!r}: {str(error).splitlines()[0]}",
@@ -76,6 +78,22 @@ def _parse_with_hydra(texts: Sequence[str]) -> list[Any]:
                 "quote values with special characters: KEY='\"...\"'",
             ) from error
     return parsed
+
+
+def _parse_one(parser: Any, text: str) -> Any:
+    """An override; a name with brackets, which the grammar does not read, is a plain text.
+
+    So ``record.time=t [s]`` and ``record.path=run (2).csv`` mean what they say.
+    """
+    from hydra.errors import HydraException
+
+    try:
+        return parser.parse_override(text)
+    except HydraException:
+        key, _, value = text.partition("=")
+        if not _NAME.fullmatch(value):
+            raise
+        return parser.parse_override(f'{key}="{value}"')
 
 
 def _bracket_depth(text: str) -> int:

@@ -331,7 +331,10 @@ _UNITS = "units relative to the port (force, position, velocity) or absolute one
 _TRACE = "plain arithmetic and functions of spiral.math; where(...) in place of if"
 _SMOOTH = "functions with derivatives: tanh(v / w) or where(...) in place of jumps"
 _MASS = "one row and column for each coordinate, symmetric"
-_REST = "avoid x / |x| and roots at zero: spiral.math.length stays smooth there"
+_REST = (
+    "avoid x / |x| and roots at zero (spiral.math.length stays smooth there); what may not be "
+    "zero, as a temperature in a quotient: where(x > least, x, least), least a parameter"
+)
 _STABLE = "nominal values of a stable motion"
 _LINEAR = "amplitudes as plain factors; role='shape' for gaps, widths and exponents"
 # After one of these has failed, the checks behind it are meaningless and are not run.

@@ -64,7 +64,8 @@ class Comparison(Readable):
     model : the model with its fitted values.
     fit_error, test_error : relative free-run errors, mean over channels.
     channels : the test's free-run error by channel.
-    noise_floor : the test error that a perfect model would have.
+    noise_floor : the test error that a perfect model would have by the noise fitted beside this
+        one; ``floor`` is what a person is told.
     chi2_per_dof, whiteness_p : of the fitted records, at window length ``horizon``.
     whiteness_effect : summed squared autocorrelation of their residual, less that of white noise.
     horizon : length of those windows, samples.
@@ -119,8 +120,16 @@ class Comparison(Readable):
     between: Mapping[str, Interpolation] = field(default_factory=dict)
     traces: Traces | None = field(default=None, compare=False, repr=False)
 
+    @property
+    def floor(self) -> float:
+        """The noise floor, at most the test error: no wrong model is better than a perfect one.
+
+        Beside a model that lacks something, what is fitted as noise with a colour may be more.
+        """
+        return min(self.noise_floor, self.test_error)
+
     def _shown(self) -> Summary:
-        errors = (self.fit_error, self.test_error, self.noise_floor)
+        errors = (self.fit_error, self.test_error, self.floor)
         return Summary(
             f"Comparison of {self.model.name}",
             ("fit error", "test error", "noise floor", "chi2/dof"),
@@ -133,7 +142,7 @@ class Comparison(Readable):
         return {
             "fit_error": self.fit_error,
             "test_error": self.test_error,
-            "noise_floor": self.noise_floor,
+            "noise_floor": self.floor,
             "noise_ratio": self.noise_ratio,
             "innovation_chi2": self.innovation_chi2,
             "random": None if self.random is None else dict(self.random),
@@ -408,7 +417,7 @@ class Run:
             "rounds": [r.as_dict() for r in self.rounds],
             "model": estimates_dict(self.model),
             "test": {k: v.as_dict() for k, v in self.final.channels.items()} if self.rounds else {},
-            "noise_floor": self.final.noise_floor if self.rounds else None,
+            "noise_floor": self.final.floor if self.rounds else None,
             "advice": self.advice,
             "alias_groups": [list(g) for g in self.alias_groups],
             "run_id": self.run_id,

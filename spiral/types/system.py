@@ -58,14 +58,21 @@ class System(Plugin):
         """Parameters of the system itself, with absolute units."""
 
     @property
-    @abstractmethod
     def ports(self) -> tuple[Port, ...]:
-        """Places where effects act; the first is the default."""
+        """Places where effects act, the first the default; not named, each injection's state."""
+        units = {s.name: s.unit for s in self.states}
+        return tuple(
+            Port(
+                i.name, (i.name,), lambda x, p, name=i.name: [getattr(x, name)], units[i.name],
+                i.unit,
+            )
+            for i in self.injections if i.name in units
+        )  # fmt: skip
 
     @property
-    @abstractmethod
     def seed(self) -> tuple[Effect, ...]:
         """Effects present from the start."""
+        return ()
 
     @property
     @abstractmethod

@@ -94,3 +94,37 @@ def test_derivatives_are_judged_by_their_share_at_any_size(value):
     text = 'equations: ["x\' = -k*x*abs(x) + u"]\nstates: {x: m}\ninputs: {u: m/s}\n'
     text += f"parameters: {{k: {value!r} 1/m/s}}\nfree: [k]\nobserved: [x]\n"
     assert float(checks_of(text)["jacobians"].seen.split()[1]) <= np.sqrt(1e-10)
+
+
+def test_a_system_may_leave_out_ports_and_seed():
+    """Each injection's state is a place, in the unit of its flow; effects act there."""
+    from spiral.types.parameter import Input, Parameter, State
+    from spiral.types.placement import at_every_place
+    from spiral.types.system import System
+
+    class Room(System):
+        """A room and its walls: C T' = P - k (T - W), D W' = k (T - W) - l W."""
+
+        states = (State("air", "K"), State("wall", "K", like="air"))
+        observed = ("air",)
+        inputs = (Input("heat", "K/s"),)
+        injections = (State("air", "K/s"), State("wall", "K/s"))
+        parameters = (
+            Parameter("passes", "1/s", lower=0.0, start=0.1),
+            Parameter("leaves", "1/s", lower=0.0, start=0.01),
+        )
+
+        def rate(self, x, u, p, injected):
+            through = p.passes * (x.air - x.wall)
+            return {
+                "air": injected["air"] + u.heat - through,
+                "wall": injected["wall"] + through - p.leaves * x.wall,
+            }
+
+    room = Room()
+    assert not failed(check_system(room))
+    assert [(p.name, p.position_unit, p.force_unit) for p in room.ports] == [
+        ("air", "K", "K/s"), ("wall", "K", "K/s")
+    ]  # fmt: skip
+    places = [e.port for e in at_every_place(room, registry().make("effect", "linear_loss"))]
+    assert "wall" in places

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from spiral.engine.likelihood.fit import maximise_likelihood
+from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise
 from spiral.engine.resting import state_jacobian
-from spiral.inference.likelihood.comparison import reportable_noise
 from spiral.inference.likelihood.fitting import (
     continue_fit,
     fit_by_likelihood,
     restart_vanished_noise,
 )
 from spiral.inference.likelihood.noise_selection import reselect_noise_model, select_noise_model
+from spiral.inference.likelihood.reported_noise import offset_sentences, reportable_noise
 from spiral.inference.problem import silent
 from tests.swept_oscillator import (
     KEYS,
@@ -80,6 +80,24 @@ def test_slow_noise_counts_by_how_far_it_goes_over_the_record():
     assert found.noise.values[term.size] > spread
     shares, _ = reportable_noise(found, 0.0)
     assert shares.get(term.size, 0.0) < 0.5  # beyond that a sensor shows mostly noise
+
+
+def test_slow_noise_that_hardly_moves_is_told_as_an_offset_and_is_part_of_a_free_runs_error():
+    record = record_of(3)
+    spread = float(np.std(record.channels["x"]))
+    record = replace(record, channels={"x": record.channels["x"] - 0.3 * spread})
+    system = unfitted(record)[0].problem.model.system
+    task, settings = task_of(record)
+    term = NoiseTerm("coloured", "x")
+    noise = first_noise(task, 0.0).with_terms(
+        (term,), {term.size: 0.3 * spread, term.time: 10 * record.dt * record.samples}
+    )
+    found = add_standard_errors(maximise_likelihood(((task, settings),), (), noise, steps=3))
+    (said,) = offset_sentences(system, found)
+    share = float(said.split(" all along, ")[1].split(" %")[0])
+    assert said.startswith("sensor x reads")
+    assert " m less than the model" in said
+    assert share == pytest.approx(30, abs=2)
 
 
 def test_a_force_with_a_memory_carries_a_free_run_as_a_linear_machine_says():

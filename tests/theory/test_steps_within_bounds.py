@@ -25,7 +25,9 @@ def test_a_value_that_presses_on_its_bound_stays_and_the_others_step_as_if_it_we
         free = [j for j in range(4) if j not in held]
         wanted = np.linalg.lstsq(x[:, free], y, rcond=None)[0]
         np.testing.assert_allclose(step[free], wanted, rtol=1e-9)
+        damped = damped_solution(inner, np.linalg.norm(inner[:, :-1], axis=0), 0.03)
         assert np.all(step[held] == 0.0)
+        assert np.all(damped[held] == 0.0)
         assert min(step[0], step[2]) >= 0
         rss = np.sum((y - x[:, free] @ wanted) ** 2)
         np.testing.assert_allclose(gain, 0.5 * (np.sum(y**2) - rss), rtol=1e-9)

@@ -113,6 +113,30 @@ def test_columns_with_the_systems_names_need_no_mapping(tmp_path):
     assert record.samples == COUNT
 
 
+def test_names_that_agree_may_be_left_out_beside_others_and_in_units(tmp_path):
+    table = columns()
+    named = {"t": table["t"], "x": table["a"], "y": table["a"]}
+    named |= {"speed": table["f"], "turn": table["f"]}
+    path = write(tmp_path / "a.csv", named)
+    units = {"speed": "rpm", "x": "mm", "phase": "deg"}
+    (record,) = csv(path=path, inputs={"phase": "turn"}, units=units).load(ROTOR)
+    assert record.inputs["speed"] == pytest.approx(table["f"] * math.pi / 30)
+    assert record.channels["x"] == pytest.approx(table["a"] / 1000)
+    assert record.channels["y"] == pytest.approx(table["a"])
+
+
+@pytest.mark.parametrize("time", ["t", "t [s]", "t (s)"])
+@pytest.mark.parametrize("header", ["t,a,f", "t [s],a [m],f [N]"])
+def test_a_column_is_found_with_its_unit_and_without(tmp_path, time, header):
+    path = write(tmp_path / "a.csv", columns(), header)
+    assert load(path=path, time=time, channels={"x": "a [m]"})[0].samples == COUNT
+
+
+def test_an_index_is_no_unit(tmp_path):
+    with pytest.raises(InputError, match="column"):
+        load(path=write(tmp_path / "a.csv", columns()), channels={"x": "a[1]"})
+
+
 def test_data_variable_is_a_second_place(tmp_path, monkeypatch):
     write(tmp_path / "far.csv", columns())
     monkeypatch.setenv("SPIRAL_DATA", str(tmp_path))

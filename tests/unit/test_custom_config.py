@@ -70,6 +70,17 @@ def test_a_formula_needs_no_quotes_and_is_swept():
     assert item.value == "-k*tanh(y/w)"
 
 
+@pytest.mark.parametrize("value", ["t [s]", "run (2).csv", "level {upper}", "it's"])
+def test_a_name_with_brackets_needs_no_quotes(value):
+    (item,) = parse_overrides((f"record.time={value}",))
+    assert item.value == value
+
+
+def test_a_list_that_does_not_close_is_no_name():
+    with pytest.raises(ConfigError, match="quote values"):
+        parse_overrides(("free=[a, b",))
+
+
 def test_a_plugins_name_is_refused_and_a_typo_is_still_one():
     with pytest.raises(ConfigError, match=r"effect\.my_cubic_stiffness"):
         composed("effect.cubic_stiffness.expression=-k*x**3")

@@ -54,6 +54,14 @@ POOR = replace(GOOD, model=seed_model(Oscillator()), fit_error=0.5, test_error=0
                chi2_per_dof=900.0, whiteness_p=0.0, whiteness_effect=8.0)  # fmt: skip
 
 
+def test_no_wrong_model_is_better_than_a_perfect_one():
+    """What is fitted as noise with a colour beside a wrong model may be more than its error."""
+    hidden = replace(POOR, noise_floor=0.9)
+    assert hidden.floor == hidden.as_dict()["noise_floor"] == hidden.test_error
+    assert hidden.noise_floor == 0.9
+    assert GOOD.floor == GOOD.noise_floor
+
+
 def rounds(last, first=POOR):
     return (Round(0, (), {}, {}, (), first, 1.0),
             Round(1, ("cubic_stiffness",), {}, {}, (), last, 1.0))  # fmt: skip

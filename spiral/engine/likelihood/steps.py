@@ -56,9 +56,10 @@ def drop_bounded_columns(
 
 
 def damped_solution(upper: Array, sizes: Array, damping: float) -> Array:
-    """Least squares with every unit column held at zero by ``damping``."""
+    """Least squares with unit columns held at zero by ``damping``, and those of zeros at zero."""
     scale = np.where(sizes > 0, sizes, 1.0)
     k = len(scale)
     matrix = np.vstack([upper[:, :-1] / scale, np.sqrt(damping) * np.eye(k)])
     target = np.concatenate([upper[:, -1], np.zeros(k)])
-    return np.linalg.lstsq(matrix, target, rcond=1e-12)[0] / scale
+    solution = np.linalg.lstsq(matrix, target, rcond=1e-12)[0] / scale
+    return np.where(sizes > 0, solution, 0.0)  # not a rounding error beside a bound

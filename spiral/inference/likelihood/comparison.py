@@ -20,12 +20,7 @@ from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.free_spread import free_spread
 from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
-from spiral.engine.likelihood.noise import (
-    NoiseModel,
-    NoiseTerm,
-    sensor_autocovariance,
-    state_offsets,
-)
+from spiral.engine.likelihood.noise import NoiseModel, sensor_autocovariance
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.engine.resting import state_jacobian
 from spiral.inference.disturbances import input_sentences
@@ -65,11 +60,16 @@ from spiral.inference.likelihood.free_run_starts import (
 )
 from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.likelihood.initial_states import set_likely_initial_state
+from spiral.inference.likelihood.reported_noise import (
+    drifting_error,
+    offset_sentences,
+    reportable_noise,
+)
 from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model, correlations_by_name
-from spiral.types.noise import COLOURED, FORCES, NOISE_LAGS, estimate_noise, expected_noise_estimate
+from spiral.types.noise import COLOURED, NOISE_LAGS, estimate_noise, expected_noise_estimate
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
@@ -77,10 +77,6 @@ _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
 _SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
-_TOLD = 0.5  # standard error of the logarithm of a size up to which the size is reported
-_TOLD_WITH_TIME = 1.0  # the same beside a correlation time: a slow force has few values in a record
-_LASTING = 0.1  # of a record: longest correlation time of noise with many independent values
-_COUNTS = 0.005  # share from which what acts at random counts
 
 
 def compare_by_likelihood(
@@ -139,9 +135,10 @@ def _noise_and_residual_fields(
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
-        "drifting": _drifting_error(fit.estimate, sizes, run),
+        "drifting": drifting_error(fit.estimate, run),
         "departures": (
             *describe_departures(model, fit.estimate, white, sizes),
+            *offset_sentences(model.system, fit.estimate),
             *far_value_sentences(fit.estimate, assembly.problem.model.given_values),
         ),
     }
@@ -265,85 +262,6 @@ def _settling_time(other: Assembly, known: float | None, task: FilterInput) -> f
     slowest = 2 * np.pi / float(sizes.min()) if len(sizes) else 0.0
     shortest = min(r.samples * r.dt for r in other.problem.test)
     return float(max(asked, min(_PERIODS * slowest, shortest / 3)))
-
-
-def reportable_noise(
-    estimate: MaximumLikelihood, disturbed: float
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Sizes of the noise beside white measurement noise that matter and are determined; its times.
-
-    A force matters by its share of the machine's own or by what forces make of a free run.
-    """
-    noise, errors = estimate.noise, estimate.noise_errors
-    task = estimate.prepared[0][0]
-    channels, length = task.compiled.traced.channels, task.series.dt * task.series.samples
-    spread = dict(zip(channels, np.std(task.series.y, axis=0), strict=True))
-    sizes, times, gone = {}, {}, _slow_noise_excursions(estimate)
-    for term in noise.terms:
-        size = noise.values[term.size]
-        least = _TOLD_WITH_TIME if term.time else _TOLD
-        if term.kind == "white" or not errors.get(term.size, np.inf) < least:
-            continue
-        if term.kind == "drift":
-            size = max(size * np.sqrt(length), gone[term.size])
-        elif term.size in gone:
-            size = gone[term.size]
-        pushes = term.kind in FORCES
-        share = size if pushes else size / spread[term.where]
-        most = max(share, disturbed) if pushes else share
-        if most >= _COUNTS:
-            sizes[term.size] = float(share)
-            if term.time:
-                times[term.size] = float(noise.values[term.time])
-    return sizes, times
-
-
-def _slow_noise(noise: NoiseModel, length: float) -> dict[str, NoiseTerm]:
-    """Noise of sensors with few independent values in a record of ``length`` s, by its size."""
-    return {
-        t.size: t for t in noise.terms
-        if t.kind == "drift"
-        or (t.kind in COLOURED and noise.values.get(t.time, 0.0) > _LASTING * length)
-    }  # fmt: skip
-
-
-def _drifting_error(
-    estimate: MaximumLikelihood, shares: Mapping[str, float], run: FreeRun
-) -> float:
-    """Error of the test's free run by slow noise of sensors, rms over channels.
-
-    ``shares`` are of what the sensors show in the fitted record, by name; the test may show less.
-    """
-    task = estimate.prepared[0][0]
-    slow = _slow_noise(estimate.noise, task.series.dt * task.series.samples)
-    channels = task.compiled.traced.channels
-    with np.errstate(divide="ignore", invalid="ignore"):
-        quieter = np.std(task.series.y, axis=0) / run.deviations()
-    told = (v * quieter[channels.index(slow[n].where)] for n, v in shares.items() if n in slow)
-    return float(np.sqrt(sum(v**2 for v in told) / len(channels)))
-
-
-def _slow_noise_excursions(estimate: MaximumLikelihood) -> dict[str, float]:
-    """How far slow noise of a sensor moves over the records, by the name of its size.
-
-    A drift from where it was at first: one that drifts steadily goes further than one that wanders
-    by as much from sample to sample. What lasts longer than a tenth of a record from its mean, as
-    the reading's own deviation is: the size is that of many such records, and a zero is part of it.
-    """
-    excursions: dict[str, float] = {}
-    for task, settings in estimate.prepared:
-        noise, length = estimate.noise, task.series.dt * task.series.samples
-        slow = _slow_noise(noise, length)
-        if not slow:
-            continue
-        run = predict_readings(task, settings, noise, keep=True)
-        first = len(task.states) + len(settings.tracked)
-        for size, place in state_offsets(task, noise).items():
-            if size in slow:
-                z = run.means[: run.done, first + place]
-                far = np.abs(z).max(initial=0.0) if slow[size].kind == "drift" else np.std(z)
-                excursions[size] = max(excursions.get(size, 0.0), float(far))
-    return excursions
 
 
 def _make_forecaster(

@@ -347,7 +347,9 @@ class Columns(Source):
                     f"one of the system's {option}: {', '.join(known) or 'none'}",
                     _swapped_names_hint(option, given, table, known) or did_you_mean(name, known),
                 )
-        return {n: table.find_column(str(c)) or c for n, c in given.items()}
+        agreeing = {n: table.find_column(n) for n in required if n not in given}
+        columns = {**given, **{n: c for n, c in agreeing.items() if c}}
+        return {n: table.find_column(str(c)) or c for n, c in columns.items()}
 
     def _resolve_units(
         self, system: System, table: Table, columns: Mapping[str, str]

@@ -22,6 +22,7 @@ MISSING = frozenset(("", "nan", "na", "nat", "none", "null", "<na>", "inf", "-in
 """Cells that stand for a number that is not there, in lower case."""
 _LISTED = 12
 _NAME = 256  # letters that a file's name may have
+_UNIT_BEHIND = re.compile(r"\s*(\[(?!\d+\]|\*)[^][]+\]|\((?!\d+\)|\*)[^()]+\))\s*$")  # no index
 
 
 def find_file(given: str) -> Path:
@@ -85,7 +86,9 @@ class Table:
         return tuple(self.values)
 
     def find_column(self, name: str) -> str:
-        """The column of this name, with or without its unit behind it (``force [N]``), or none.
+        """The column of this name, its unit behind it or not, in the file or here, or none.
+
+        ``force`` is found in a file with ``force [N]``, and ``force [N]`` in one with ``force``.
 
         ``x_rate`` and ``x_acceleration`` may stand as equations write them, ``x'`` and ``x''``.
         """
@@ -96,7 +99,8 @@ class Table:
             fitting = (c for c in self.values if c in self.units and named.fullmatch(c))
             if column := next(fitting, ""):
                 return column
-        return ""
+        bare = _UNIT_BEHIND.sub("", name)
+        return self.find_column(bare) if bare != name else ""
 
     def starred_numbers(self, starred: str) -> list[str]:
         """Numbers that the star in a column's name may stand for, in their order.

@@ -70,7 +70,7 @@ def _round_table(run: Run, width: int) -> Table:
             "added": _admission_text(item),
             "fit error": percent(c.fit_error),
             "test error": percent(c.test_error),
-            "noise floor": percent(c.noise_floor),
+            "noise floor": percent(c.floor),
             "chi2/dof": number(c.chi2_per_dof),
             "horizon": str(c.horizon),
             "whiteness p": probability(c.whiteness_p),
@@ -78,7 +78,7 @@ def _round_table(run: Run, width: int) -> Table:
         }
         table.add_row(*(cells[name] for name in columns))
     if width < _WIDE and run.rounds:
-        table.caption = f"noise floor {percent(run.final.noise_floor)}"
+        table.caption = f"noise floor {percent(run.final.floor)}"
         table.caption_justify = "left"
     return table
 
@@ -156,7 +156,7 @@ def _comparison_table(comparisons: dict[str, Comparison]) -> Table:
     rows: dict[str, Callable[[Comparison], str]] = {
         "fit error": lambda c: percent(c.fit_error),
         "test error": lambda c: percent(c.test_error),
-        "noise floor": lambda c: percent(c.noise_floor),
+        "noise floor": lambda c: percent(c.floor),
     }
     first = next(iter(comparisons.values()))
     for name in first.channels:

@@ -109,21 +109,22 @@ class PromisingChanges:
 def find_named_law(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
     white: bool, comparison: Comparison, masks: tuple[Masks, Masks], level: float,
-    changes: PromisingChanges, progress: Progress,
+    changes: PromisingChanges, progress: Progress, much: bool = False,
 ) -> NamedLaw | None:  # fmt: skip
     """The law that is admitted; nothing where none passes.
 
     Parameters
     ----------
     state : the study's. base : the same, fitted on the blocks that select. masks : (select, judge).
-    white : whether nothing but noise, or what acts at random, is left of it.
+    white : whether nothing but noise, or what acts at random, is left of it. much : whether much
+        acts at random, or is noise of a sensor with a colour: a missing law may hide there.
     """
     gone = stand_in_labels(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
     several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
     moved = is_moved_at_random(comparison, assembly.problem.settings)
     unsure = undetermined_among(assembly, gone, comparison)
-    if (white and not (several or aided or moved or unsure)) or not options.laws:
+    if (white and not (several or aided or moved or unsure or much)) or not options.laws:
         return None
     laws = laws_of(assembly.problem.model.system)
     whole = moved or not white or not gone

@@ -158,8 +158,9 @@ def _step_for_unexplained(
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
     white, changes = step.stopped == "whiteness", PromisingChanges(assembly, masks[0])
+    much = max((comparison.random or {}).values(), default=0.0) > LITTLE
     law = find_named_law(
-        options, assembly, state, base, white, comparison, masks, level, changes, progress
+        options, assembly, state, base, white, comparison, masks, level, changes, progress, much
     )
     if law is not None:
         label, aliases = law.effect.label, law.aliases
@@ -170,7 +171,6 @@ def _step_for_unexplained(
         )  # fmt: skip
     if not assembly.problem.dictionary:
         return step
-    much = max((comparison.random or {}).values(), default=0.0) > LITTLE
     if white and not much:
         curve = find_equal_curve(options, assembly, state, base, comparison, masks, level, progress)
     else:
@@ -220,7 +220,7 @@ def _with_missing_curve(
     say so.
     """
     with_it = curve.refitted.comparison
-    told = {"test_error": with_it.test_error, "noise_floor": with_it.noise_floor}
+    told = {"test_error": with_it.test_error, "noise_floor": with_it.floor}
     told |= {"replaces": curve.replaces, "undetermined": curve.undetermined}
     shape = {**curve.shape.as_dict(), **told}
     details = {**step.details, "unknown": shape}

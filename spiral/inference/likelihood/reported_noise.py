@@ -1,0 +1,157 @@
+"""Noise beside white noise as it is told: its sizes, what slow noise of a sensor does, offsets.
+
+A sensor that drifts, or whose noise lasts longer than a tenth of a record, has few independent
+values in it. What counts of such noise is its course z over the records, which the filter has:
+
+    size             max |z| of a drift, which begins at zero; else the deviation of z
+    in a free run    max |z| of a drift, else (mean of z^2)^(1/2): a constant is part of its error
+    offset           mean of z, where it is more than twice the deviation of z from it
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spiral.engine.likelihood.fit import MaximumLikelihood
+from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, state_offsets
+from spiral.engine.likelihood.predict import predict_readings
+from spiral.inference.evidence.free_run import FreeRun
+from spiral.types.formatting import number, percent
+from spiral.types.noise import COLOURED, FORCES
+from spiral.types.record import Array
+from spiral.types.system import System
+
+_TOLD = 0.5  # standard error of the logarithm of a size up to which the size is reported
+_TOLD_WITH_TIME = 1.0  # the same beside a correlation time: a slow force has few values in a record
+_LASTING = 0.1  # of a record: longest correlation time of noise with many independent values
+_COUNTS = 0.005  # share from which what acts at random counts
+_STEADY = 2.0  # mean of slow noise over its deviation from which it is an offset
+
+
+def reportable_noise(
+    estimate: MaximumLikelihood, disturbed: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Sizes of the noise beside white measurement noise that matter and are determined; its times.
+
+    A force matters by its share of the machine's own or by what forces make of a free run.
+    """
+    noise, spread, length = estimate.noise, _spreads(estimate), _seconds(estimate)
+    sizes, times, gone = {}, {}, _slow_noise_excursions(estimate)
+    for term in (t for t in noise.terms if _is_determined(estimate, t)):
+        size = noise.values[term.size]
+        if term.kind == "drift":
+            size = max(size * np.sqrt(length), gone[term.size])
+        elif term.size in gone:
+            size = gone[term.size]
+        pushes = term.kind in FORCES
+        share = size if pushes else size / spread[term.where]
+        most = max(share, disturbed) if pushes else share
+        if most >= _COUNTS:
+            sizes[term.size] = float(share)
+            if term.time:
+                times[term.size] = float(noise.values[term.time])
+    return sizes, times
+
+
+def drifting_error(estimate: MaximumLikelihood, run: FreeRun) -> float:
+    """Error of the test's free run by slow noise of sensors, rms over channels.
+
+    As large as in the fitted records: what a sensor's zero does in the test is not known before.
+    """
+    told, channels = _told_courses(estimate), estimate.prepared[0][0].compiled.traced.channels
+    far = [(t.where, max(_size_in_free_run(t, z) for z in courses)) for t, courses in told]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = [z / run.deviations()[channels.index(where)] for where, z in far]
+    return float(np.sqrt(sum(v**2 for v in shares) / len(channels)))
+
+
+def offset_sentences(system: System, estimate: MaximumLikelihood) -> tuple[str, ...]:
+    """A sentence for each sensor whose slow noise hardly moves, so that it is an offset."""
+    said, spread = [], _spreads(estimate)
+    for term, courses in _told_courses(estimate):
+        where = term.where
+        means = np.array([z.mean() for z in courses])
+        value = float(means.mean())
+        still = all(abs(z.mean()) > _STEADY * z.std() for z in courses)
+        if not still or abs(means.sum()) < np.abs(means).sum():  # another sign in another record
+            continue
+        if (share := abs(value) / spread[where]) >= _COUNTS:
+            much = "more" if value > 0 else "less"
+            said.append(
+                f"sensor {where} reads {number(abs(value), 2)} {system.unit_of(where)} {much} than "
+                f"the model all along, {percent(share)} of its motion: like an offset"
+            )
+    return tuple(said)
+
+
+def _is_determined(estimate: MaximumLikelihood, term: NoiseTerm) -> bool:
+    """Whether noise beside white noise has a size that the records tell."""
+    error = estimate.noise_errors.get(term.size, np.inf)
+    return term.kind != "white" and error < (_TOLD_WITH_TIME if term.time else _TOLD)
+
+
+def _told_courses(estimate: MaximumLikelihood) -> list[tuple[NoiseTerm, list[Array]]]:
+    """Slow noise of sensors of a size that the records tell, and its course over each record."""
+    slow = _slow_noise(estimate.noise, _seconds(estimate))
+    told = {s: t for s, t in slow.items() if _is_determined(estimate, t)}
+    return [(told[s], z) for s, z in _slow_noise_courses(estimate).items() if s in told]
+
+
+def _size_in_free_run(term: NoiseTerm, course: Array) -> float:
+    """Error of a free run by slow noise: as far as a drift goes, else from zero on average."""
+    far = np.abs(course).max(initial=0.0) if term.kind == "drift" else np.sqrt(np.mean(course**2))
+    return float(far)
+
+
+def _spreads(estimate: MaximumLikelihood) -> dict[str, float]:
+    """Deviation of each channel in the first record."""
+    task = estimate.prepared[0][0]
+    spreads = np.std(task.series.y, axis=0)
+    return {n: float(s) for n, s in zip(task.compiled.traced.channels, spreads, strict=True)}
+
+
+def _seconds(estimate: MaximumLikelihood) -> float:
+    """Length of the first record."""
+    series = estimate.prepared[0][0].series
+    return series.dt * series.samples
+
+
+def _slow_noise(noise: NoiseModel, length: float) -> dict[str, NoiseTerm]:
+    """Noise of sensors with few independent values in a record of ``length`` s, by its size."""
+    return {
+        t.size: t for t in noise.terms
+        if t.kind == "drift"
+        or (t.kind in COLOURED and noise.values.get(t.time, 0.0) > _LASTING * length)
+    }  # fmt: skip
+
+
+def _slow_noise_courses(estimate: MaximumLikelihood) -> dict[str, list[Array]]:
+    """z of slow noise over each record, by the name of its size."""
+    courses: dict[str, list[Array]] = {}
+    for task, settings in estimate.prepared:
+        noise = estimate.noise
+        slow = _slow_noise(noise, task.series.dt * task.series.samples)
+        if not slow:
+            continue
+        run = predict_readings(task, settings, noise, keep=True)
+        first = len(task.states) + len(settings.tracked)
+        for size, place in state_offsets(task, noise).items():
+            if size in slow:
+                courses.setdefault(size, []).append(run.means[: run.done, first + place])
+    return courses
+
+
+def _slow_noise_excursions(estimate: MaximumLikelihood) -> dict[str, float]:
+    """How far slow noise of a sensor goes, by the name of its size.
+
+    A drift from where it was at first: one that drifts steadily goes further than one that wanders
+    by as much from sample to sample. What lasts longer than a tenth of a record from its mean, as
+    the reading's own deviation is: the size is that of many such records, and a zero is part of it.
+    """
+    kinds = {t.size: t.kind for t in estimate.noise.terms}
+    excursions: dict[str, float] = {}
+    for size, courses in _slow_noise_courses(estimate).items():
+        drifts = kinds[size] == "drift"
+        far = (np.abs(z).max(initial=0.0) if drifts else z.std() for z in courses)
+        excursions[size] = float(max(far))
+    return excursions
