@@ -410,6 +410,11 @@ def test_plugins_list(capsys):
 
 
 def test_an_effect_asked_for_shows_its_parameters_and_where_it_acts(capsys):
+    assert main(["plugins", "tilting_rotor"]) == 0
+    told = capsys.readouterr().out
+    assert "forces act at: disk, bearing_1, bearing_2" in told
+    assert "hidden" in told
+    assert "phase_origin" in told
     assert main(["plugins", "mutual_flow", "rub", "input_delay"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "rate force/position^2 one for each axis" in shown

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from spiral.types.errors import SpiralError
 from spiral.types.formatting import number, percent
 from spiral.view.terminal.parts import (
     Screen,
@@ -21,12 +22,14 @@ from spiral.view.terminal.parts import (
     ruled_table,
 )
 from spiral.view.terminal.shell import join_command
+from spiral.view.terminal.systems import print_system
 
 if TYPE_CHECKING:
     from spiral.inference.identifiability.identify import Identification
     from spiral.io.request import Outcome
     from spiral.io.testing import Check
     from spiral.types.effect import Effect
+    from spiral.types.system import System
 
 VERBS = ("plugins", "check", "new", "identify", "report", "export")
 
@@ -72,10 +75,11 @@ def _print_plugins(console: Console, outcome: Outcome) -> None:
             _print_laws(console)
     for entry in (e for e in entries if e.name in outcome.parts["asked"]):
         _print_explanation(console, entry.plugin)
-        if entry.kind in ("effect", "system"):
-            _print_parameters(console, entry.plugin)
         if entry.kind == "effect":
+            _print_parameters(console, entry.plugin)
             _print_where_it_acts(console, entry.plugin)
+        if entry.kind == "system":
+            _print_system(console, entry.plugin)
         _print_fields(console, entry.plugin)
     for failure in outcome.parts["failures"]:
         console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
@@ -94,17 +98,18 @@ def _print_laws(console: Console) -> None:
 def _print_explanation(console: Console, plugin: type) -> None:
     """What a plugin's docstring says after its meaning."""
     _, _, rest = inspect.cleandoc(plugin.__doc__ or "").partition("\n\n")
-    for part in rest.replace("``", "").split("\n\n") if rest else ():
+    rest, _, _ = rest.partition("Fields\n------")  # they have a table
+    for part in filter(str.strip, rest.replace("``", "").split("\n\n")):
         formula = part.startswith(" ")
         console.print()
         console.print(Text(part if formula else " ".join(part.split())))
 
 
 def _print_parameters(console: Console, plugin: type) -> None:
-    """The parameters of an effect or a system: units, bounds, and which are shapes."""
+    """The parameters of an effect: units, bounds, and which are shapes."""
     parameters = getattr(plugin, "parameters", ())
     if not isinstance(parameters, tuple) or not parameters:
-        return  # those of a system may depend on its fields
+        return  # of an effect with fields
     console.print()
     table = ruled_table("parameter", "unit", "least", "most", "")
     for one in parameters:
@@ -120,6 +125,17 @@ def _print_parameters(console: Console, plugin: type) -> None:
     words = set(re.findall("[a-z]+", " ".join(p.unit for p in parameters)))
     if words & {"force", "position", "velocity"}:
         console.print(Text("force, position, velocity: those of the place where it acts", "dim"))
+
+
+def _print_system(console: Console, plugin: type[System]) -> None:
+    """What a system is with the defaults of its fields; nothing where one of them has none."""
+    from spiral.types.fields import construct
+
+    try:
+        system = construct(plugin, {}, "system")
+    except SpiralError:
+        return  # a file, a robot or a program is named first
+    print_system(console, system)
 
 
 def _print_where_it_acts(console: Console, plugin: type[Effect]) -> None:
