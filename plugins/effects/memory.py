@@ -1,7 +1,8 @@
 """Effects with states of their own: what the machine stands on, and what follows it late.
 
 Each is written so that its own states depend on the motion and on shapes alone; the amplitude
-enters as a plain factor of what they exert.
+enters as a plain factor of what they exert. They begin in balance with a machine at rest, wherever
+the zero of its position lies.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ _TURN = 6.283185307179586
 
 
 class HiddenMode(ForceEffect):
-    """A resonance that no sensor sees: F = -m z'', z'' = w^2 (q - z) + 2 d w (q' - z').
+    """A resonance that no sensor sees: F = -m z'', z'' = w^2 e + 2 d w (q' - z'), e = q - z.
 
     A mass m on a spring m w^2 and a damper 2 d w m at the port, w = 2 pi f: the dynamic absorber
     (Den Hartog, Mechanical Vibrations, ch. 3; a residual mode in Ewins, Modal Testing, ch. 4). A
@@ -24,7 +25,7 @@ class HiddenMode(ForceEffect):
 
     special = ("linear_stiffness",)
     states = (
-        State("displacement", "position", per_axis=True),
+        State("deflection", "position", per_axis=True),
         State("velocity", "velocity", per_axis=True),
     )
     parameters = (
@@ -38,19 +39,20 @@ class HiddenMode(ForceEffect):
         return [-m * a for m, a in zip(p.mass, _hidden_accelerations(at, p), strict=True)]
 
     def rate(self, at, u, p):
-        """z' and z''."""
-        return {"displacement": list(at.own.velocity), "velocity": _hidden_accelerations(at, p)}
+        """e' = q' - z', and z''."""
+        apart = [v - w for v, w in zip(at.velocity, at.own.velocity, strict=True)]
+        return {"deflection": apart, "velocity": _hidden_accelerations(at, p)}
 
 
 def _hidden_accelerations(at, p):
     """z'' per axis, from spring and damper between port and hidden mass."""
     turn = _TURN * p.natural_frequency
-    rows = zip(at.position, at.velocity, at.own.displacement, at.own.velocity, strict=True)
-    return [turn * turn * (q - z) + 2 * p.damping_ratio * turn * (v - w) for q, v, z, w in rows]
+    rows = zip(at.velocity, at.own.deflection, at.own.velocity, strict=True)
+    return [turn * turn * e + 2 * p.damping_ratio * turn * (v - w) for v, e, w in rows]
 
 
 class Lag(ForceEffect):
-    """A force that follows the motion late: F = -k (q - z), T z' = q - z.
+    """A force that follows the motion late: F = -k e, e' = q' - e / T.
 
     A spring k in series with a damper k T, beside the seed's spring: the standard linear solid
     (Maxwell element; Lakes, Viscoelastic Materials, ch. 2): rubber mounts, oil films, seals. Slow
@@ -58,25 +60,26 @@ class Lag(ForceEffect):
     """
 
     special = ("linear_stiffness", "linear_damping")
-    states = (State("lagged", "position", per_axis=True),)
+    states = (State("deflection", "position", per_axis=True),)
     parameters = (
         Parameter("stiffness", "force/position", lower=0.0, per_axis=True),
         Parameter("time_constant", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
     )
 
     def force(self, at, u, p):
-        """-k (q - z)."""
-        rows = zip(p.stiffness, at.position, at.own.lagged, strict=True)
-        return [-k * (q - z) for k, q, z in rows]
+        """-k e, e the spring's deflection."""
+        return [-k * e for k, e in zip(p.stiffness, at.own.deflection, strict=True)]
 
     def rate(self, at, u, p):
-        """(q - z) / T."""
-        late = zip(at.position, at.own.lagged, strict=True)
-        return {"lagged": [(q - z) / p.time_constant for q, z in late]}
+        """q' - e / T."""
+        apart = zip(at.velocity, at.own.deflection, strict=True)
+        return {"deflection": [v - e / p.time_constant for v, e in apart]}
 
 
 class HiddenStore(StateFlow):
     """A store that no sensor sees, filled and emptied: x' = ... - c (x - z), T z' = x - z.
+
+    It begins as full as what it stands beside, as a body that has been there for long.
 
     Walls that take up gas, heat or moisture, a dead volume, a tissue, a second branch of resistor
     and capacitor: any body of one relaxation beside a state of first order. c T is its capacity
@@ -85,7 +88,7 @@ class HiddenStore(StateFlow):
     """
 
     special = ("linear_loss",)
-    states = (State("level", "position"),)
+    states = (State("level", "position", like="position"),)
     parameters = (
         Parameter("rate", "force/position", lower=0.0),
         Parameter("time_constant", "s", lower=0.0, role="shape", start=0.01, spectrum=True),
