@@ -63,6 +63,7 @@ def test_every_bearing_parameter_comes_back_from_ten_percent_off():
     assert "linear_stiffness@bearing_1.stiffness_x" not in found.untold
 
 
+@pytest.mark.slow
 def test_one_common_factor_is_found_a_hundred_times_better():
     found = calibrated(0.2, 1, records(), together=BEARINGS)
     factors = np.array([found.model.values[k] / TRUE.values[k] for k in BEARINGS])

@@ -99,6 +99,7 @@ def test_an_input_that_is_held_is_integrated_as_one():
     assert errors["band_limited"] > 0.02
 
 
+@pytest.mark.slow
 def test_a_hold_that_nobody_told_of_is_found():
     """Nothing is missing then, the values are the truth, and the notes name the hold."""
     run = spiral.discover(recorded(None), "oscillator", values=WRONG)
@@ -252,6 +253,7 @@ def valve():
     return spiral.discover(record, system, candidates=["rate_limit", "actuator_lag", "input_delay"])
 
 
+@pytest.mark.slow
 def test_a_limit_has_an_error_where_its_soft_zone_is_not_told(valve):
     """Of two shapes the record tells one: that is free, and the zone is held where it is likely."""
     found = valve.model.estimates()["rate_limit"]

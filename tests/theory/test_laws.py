@@ -110,6 +110,7 @@ def test_the_sine_of_a_double_angle_is_named_in_closed_form():
     assert run.final.test_error < 1.1 * run.final.noise_floor
 
 
+@pytest.mark.slow
 def test_a_law_that_a_candidate_explains_as_well_takes_its_name():
     """Asked for laws at once, a machine with a clearance: the dead zone is the same function."""
     truth = {"clearance.stiffness": 3000.0, "clearance.gap": 0.03, "clearance.width": 0.0}

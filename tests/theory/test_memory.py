@@ -235,6 +235,7 @@ def test_hysteresis_does_not_know_how_fast_it_is_run_through():
     assert np.ptp(slow[:200]) > 0.5 * LENGTH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asymmetry", "exponent"),
     [

@@ -319,6 +319,7 @@ def _pumped(seed, store, time, samples=1500, step=0.1):
     return make_record(Equations(text=VESSEL), f"seed {seed}", clock, {"p": seen}, {"Q": flow})
 
 
+@pytest.mark.slow
 def test_walls_that_take_up_gas_are_a_store_with_its_rate_and_time():
     run = spiral.discover(_pumped(1, 0.25, 9.0), Equations(text=VESSEL), progress=silent)
     assert run.missing == ("hidden_store@p",), run.summary

@@ -104,6 +104,7 @@ def _spilling(noise=0.02):
     return Problem(seed, (record,), (), candidates=(effect("overflow"),))
 
 
+@pytest.mark.slow
 def test_a_rim_is_found_from_afar_where_a_step_from_zero_does_not_see_it():
     """The refit from a tenth of the bounds reaches the noise; the rim lies where it was put."""
     assembly, fit_state = prepare_study(_spilling())

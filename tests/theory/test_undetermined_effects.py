@@ -59,6 +59,7 @@ def test_a_name_whose_values_the_record_does_not_tell_gives_way_to_a_curve(quest
     assert "no value of clearance" in run.summary
 
 
+@pytest.mark.slow
 def test_the_law_is_named_where_laws_are_tried(question):
     run = spiral.discover(*question, candidates=["clearance", "cogging"])
     assert run.missing == ("peak_law",)

@@ -151,6 +151,7 @@ def test_every_form_stands_at_every_parameter_and_what_it_may_follow():
     assert not any("_change@" in label for label in labels)  # no candidates of the first rounds
 
 
+@pytest.mark.slow
 def test_a_conductance_that_grows_with_a_power_of_the_flow_is_named():
     system = heater()
     fit, test = (record_of(system, lambda q: 30 * q**0.8, seed) for seed in (1, 2))
