@@ -149,6 +149,12 @@ def _system_from_equations(
 def _system_from_file(file: str, given: Mapping[str, Any]) -> System:
     """A system from a file; an FMU or a robot also takes ports, inputs and free parameters."""
     plugin = plugin_of_file(file) or "equations"
+    if file in load_registry().names("system"):
+        raise ConfigError(
+            f"spiral.system({file!r}), the name of a system that there is",
+            "equations, a function or a file",
+            f"the name where a system is asked for: spiral.discover(record, {file!r})",
+        )
     left = {k: v for k, v in given.items() if v}
     known = FIELDS.get(plugin, {})
     fields = {known[k]: left.pop(k) for k in list(left) if k in known}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.oscillator import Oscillator
 
+import spiral
 from spiral.engine.filter.task import prepare_task
 from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.types.model import seed_model
@@ -34,3 +35,14 @@ def test_milliseconds_and_seconds_are_told_apart(dt, word):
 @pytest.mark.parametrize("dt", [2e-4, 2e-3, 2e-2, 0.2])
 def test_a_record_that_shows_the_motion_is_not_doubted(dt):
     assert sentences(dt) == ()
+
+
+def test_no_candidate_is_tried_on_a_record_whose_time_is_not_the_models():
+    said = []
+    rng = np.random.default_rng(4)
+    time, force = 5.0 * np.arange(200), rng.normal(size=200)  # ms taken for s
+    record = make_record(Oscillator(), "ms", time, {"x": rng.normal(size=200)}, {"force": force})
+    run = spiral.discover(record, Oscillator(), values=VALUES, progress=said.append)
+    assert run.verdict == "unknown_structure"
+    assert "is the record's time in s?" in run.summary
+    assert not any("scoring candidates" in line for line in said)

@@ -24,10 +24,12 @@ from spiral.inference.likelihood.fitting import (
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
+    prepare_filter_tasks,
 )
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
+from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress, Settings, silent
 from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
@@ -69,8 +71,11 @@ def propose(
 ) -> Step[ScoredRound]:  # fmt: skip
     """The candidate that makes the record most likely, if it passes on other blocks.
 
-    Or two at once, where none is of use alone.
+    Or two at once, where none is of use alone. None is tried on a record whose time is not the
+    model's: of such motion each would be fitted for long and told of nothing.
     """
+    if _is_of_another_time(assembly, state):
+        return Step((), {}, stopped="no_candidate")
     bare, assembly = assembly, enlarge(assembly, state.labels)
     asked = RoundInput(options, bare, comparison, number, progress)
     made = excerpt_study(assembly, state)
@@ -94,6 +99,12 @@ def propose(
         options, assembly, state, contest.base, step, comparison, contest.masks,
         asked.level(), number, progress,
     )  # fmt: skip
+
+
+def _is_of_another_time(assembly: Assembly, state: FitState) -> bool:
+    """Whether the model's motion is over within a sample of the record, or hardly begins in it."""
+    task = prepare_filter_tasks(assembly, state)[0][0]
+    return bool(time_scale_sentences(task, assembly.problem.model.given_values))
 
 
 def _decided_step(
