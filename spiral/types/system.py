@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any, ClassVar, TypeGuard
 
 from spiral.types.cache import kept
+from spiral.types.display import Summary
 from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect, StateFlow
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
@@ -36,6 +37,38 @@ class System(Plugin):
     def title(self) -> str:
         """What the system is, in a few words; the plugin's name where none are given."""
         return self.plugin_name()
+
+    def __str__(self) -> str:
+        return self._shown().text()
+
+    def _repr_markdown_(self) -> str:
+        return self._shown().markdown()
+
+    def _shown(self) -> Summary:
+        """What is measured, hidden, known and to be found, as it is printed."""
+        rows = list(self.quantities())
+        for one in self.parameters:
+            first = self.defaults.get(f"system.{one.name}")
+            unknown = "to be found" if first is None else f"to be found, from {first:g}"
+            told = unknown if one.start is None else f"known, {one.start:g}"
+            rows.append((one.name, one.unit or "1", told))
+        seed = ", ".join(e.label for e in self.seed)
+        return Summary(
+            f"System {self.title}", ("name", "unit", ""), tuple(rows),
+            f"seed: {seed}" if seed else "",
+        )  # fmt: skip
+
+    def quantities(self) -> tuple[tuple[str, str, str], ...]:
+        """(name, unit, what it is) of every state, reading and input."""
+        rows = []
+        for state in (*self.states, *self.readings):
+            told = "measured" if state.name in self.observed else "hidden"
+            like = f", begins like {state.like}" if state.like and told == "hidden" else ""
+            rows.append((state.name, state.unit or "1", told + like))
+        for one in self.inputs:
+            told = f"input, {one.interpolation.replace('_', ' ')} between samples"
+            rows.append((one.name, one.unit or "1", told))
+        return tuple(rows)
 
     @property
     @abstractmethod

@@ -159,3 +159,16 @@ def test_what_is_added_by_hand_and_does_nothing_is_not_called_missing(run):
     _, _, more = spiral.add(run, "coulomb_friction")
     assert (more.verdict, more.missing) == ("nothing_missing", ())
     assert "does not determine coulomb_friction" in more.summary
+
+
+def test_a_system_prints_what_it_is():
+    system = spiral.system(
+        ["m*x'' + c*x' + k*x = F"], states={"x": "m"}, inputs={"F": "N"}, observed=["x"],
+        parameters={"m": "2 kg", "c": "3 N*s/m", "k": "400 N/m"}, free=["c", "k"],
+    )  # fmt: skip
+    lines = [" ".join(line.split()) for line in str(system).splitlines()]
+    assert "x m measured" in lines
+    assert "x_rate m/s hidden" in lines
+    assert "m kg known, 2" in lines
+    assert "k N/m to be found, from 400" in lines
+    assert "| x | m | measured |" in system._repr_markdown_()

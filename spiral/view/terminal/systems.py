@@ -37,13 +37,8 @@ def _print_quantities(console: Console, system: System) -> None:
     """What is measured, hidden and known of a system."""
     console.print()
     table = ruled_table("quantity", "unit", "")
-    for state in (*system.states, *system.readings):
-        told = "measured" if state.name in system.observed else "hidden"
-        like = f", begins like {state.like}" if state.like and told == "hidden" else ""
-        table.add_row(Text(state.name, style="bold"), Text(state.unit or "1"), Text(told + like))
-    for one in system.inputs:
-        told = f"input, {one.interpolation.replace('_', ' ')} between samples"
-        table.add_row(Text(one.name, style="bold"), Text(one.unit or "1"), Text(told))
+    for name, unit, told in system.quantities():
+        table.add_row(Text(name, style="bold"), Text(unit), Text(told))
     console.print(table)
 
 
