@@ -16,15 +16,20 @@ if TYPE_CHECKING:
 
 
 def list_plugins(request: Request, registry: Registry) -> Outcome:
-    """Every plugin, or those of the kinds and names asked for."""
+    """Every plugin, or those of the kinds and names asked for; the model that a file holds."""
+    from spiral.io.config import build_system, compose
+    from spiral.io.system_files import plugin_of_file
+
     known = {*registry.kinds, *(e.name for e in registry.entries)}
+    files = [n for n in request.names if plugin_of_file(n)]
     for name in request.names:
-        if name not in known:
+        if name not in known and name not in files:
             raise ConfigError(
                 f"plugin or kind {name!r}",
-                f"a kind ({', '.join(registry.kinds)}) or a plugin's name",
+                f"a kind ({', '.join(registry.kinds)}), a plugin's name or a model's file",
                 did_you_mean(name, known),
             )
+    models = {f: build_system(compose((f"system={f}",), registry), registry) for f in files}
     asked = set(request.names)
     entries = [e for e in registry.entries if not asked or {e.kind, e.name} & asked]
     result = {
@@ -32,8 +37,10 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
         "failures": [
             {"name": f.name, "file": f.file, "message": f.message} for f in registry.failures
         ],
+        "models": {f: [list(q) for q in s.quantities()] for f, s in models.items()},
     }
-    return Outcome(OK, result, {"entries": entries, "failures": registry.failures, "asked": asked})
+    parts = {"entries": entries, "failures": registry.failures, "asked": asked, "models": models}
+    return Outcome(OK, result, parts)
 
 
 def check_plugins(request: Request, registry: Registry, tell: Tell) -> Outcome:

@@ -209,8 +209,16 @@ def _refusal_error(verdict: str, advice: str) -> dict[str, str]:
 
 
 def _fit_failure(comparison: Comparison) -> dict[str, str]:
-    """The error for a fit that did not converge, or whose free run diverges; else empty."""
-    if comparison.converged and isfinite(comparison.fit_error):
+    """The error for a fit that did not converge, or whose free run diverges; else empty.
+
+    A machine that only its controller holds has no free run: it is told one sample ahead.
+    """
+    from spiral.inference.nearness import is_free_run_carried_away, next_sample_error
+
+    ahead = next_sample_error(comparison) if is_free_run_carried_away(comparison) else None
+    if comparison.converged and (
+        isfinite(comparison.fit_error) or (ahead is not None and ahead < 1)
+    ):
         return {}
     where = "" if comparison.random is not None else f" on windows of {comparison.horizon} samples"
     given = "a model whose free run leaves all bounds"

@@ -42,7 +42,8 @@ _FREQUENT = 5.0  # times as often as a usual value an extreme repeats where a se
 _PAIRS = np.array([(i, i + d) for d in range(1, _APART + 1) for i in range(-3, 4 - d)])
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
 _OWN = np.array([1, -4, 6, -4, 1]) / 6  # of the readings in r
-_CHANCE = 0.01  # probability of spikes near jumps of an input, or of runs, below which it is none
+_CHANCE = 0.01  # probability of runs by chance, below which they are none
+_NEAR_JUMPS = 0.1  # the same of so many spikes near jumps of an input, whose doing they then are
 _EXTRAPOLATED = 6.0  # deviation of a cubic's extrapolation over that of r, of white noise
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
@@ -113,10 +114,10 @@ def spoilt_readings(
     clipped = _clipped_mask(values)  # which repeats its extreme, and nothing else
     repeats = same & ~runs & ~clipped[1:]
     by_chance = len(values) * float(np.mean(repeats)) ** _RUN  # runs where repeats are independent
-    if by_chance < _CHANCE and _is_noise_like(values[1:][~same]):
-        held = np.concatenate([[False], runs]) & ~clipped
-        spoilt = [s for s in (InvalidReadings("clipped", clipped), InvalidReadings("held", held))
-                 if s.where.mean() <= _MOST_STILL]  # fmt: skip
+    held = np.concatenate([[False], runs]) & ~clipped
+    moves = max(clipped.mean(), held.mean()) <= _MOST_STILL  # else it rests so by itself
+    if by_chance < _CHANCE and moves and _is_noise_like(values[1:][~same]):
+        spoilt = [InvalidReadings("clipped", clipped), InvalidReadings("held", held)]
     gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
     spikes = _spike_mask(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
     jumps = [np.convolve(_jump_mask(given), np.ones(5), "same") > 0 for given in inputs]
@@ -206,12 +207,18 @@ def _is_noise_like(values: Array) -> bool:
 def clipping(key: str, values: Array) -> str:
     """A note where a channel rests at its extremes for many samples in a row."""
     extreme = [at[1:] & at[:-1] for at in _at_extremes(values)]
+    extreme = [e if _count_runs(e) > 1 else np.zeros_like(e) for e in extreme]  # one is a rest
     share, elsewhere = float(np.mean(extreme[0] | extreme[1])), np.diff(values) == 0
     elsewhere &= ~(extreme[0] | extreme[1])
     levels = len(np.unique(values))  # a coarse converter repeats each of them
     if share > 1e-3 and share * levels > _FREQUENT * float(np.mean(elsewhere)):
         return f"channel {key!r} looks clipped: {share:.1%} of its samples rest at an extreme"
     return ""
+
+
+def _count_runs(mask: Array) -> int:
+    """Runs of True."""
+    return int(np.sum(mask[1:] & ~mask[:-1])) + int(mask[0])
 
 
 def _clipped_mask(values: Array) -> Array:
@@ -323,7 +330,7 @@ def _answer_jumps(spikes: Array, near: Array) -> bool:
 
     count, there = int(np.sum(spikes & near)), int(near.sum())
     rate = (float(np.sum(spikes & ~near)) + 1.0) / (len(near) - there + 1.0)
-    return count > 0 and float(special.bdtrc(count - 1, there, min(rate, 1.0))) < _CHANCE
+    return count > 0 and float(special.bdtrc(count - 1, there, min(rate, 1.0))) < _NEAR_JUMPS
 
 
 def _jump_mask(values: Array) -> Array:

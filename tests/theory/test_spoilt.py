@@ -114,6 +114,29 @@ def test_a_fine_converter_s_few_repeats_do_not_hide_that_it_clips(seed):
     np.testing.assert_array_equal(kinds(values)["clipped"], values == most)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_coarse_encoder_that_rests_is_neither_held_nor_clipped(seed):
+    """It stays at one step at rest, and at its turning points, which may be its extremes."""
+    rng = np.random.default_rng(seed)
+    moving = np.where(TIME > 13, 0.6 * np.sin(0.5 * (TIME - 13)) ** 3, 0.0)
+    values = 0.02 * np.round((0.6 + moving + 0.002 * rng.normal(size=N)) / 0.02)
+    assert not kinds(values)
+
+
+def test_a_rest_at_the_least_value_is_no_clipping():
+    assert not clipping("drive", np.where(TIME > 13, 1 + np.sin(TIME), 0.0))
+    assert "looks clipped" in clipping("drive", np.clip(np.sin(TIME), -1.0, 0.7))
+
+
+@pytest.mark.parametrize("at", [600, 601])
+def test_one_reading_at_a_jump_of_an_input_is_its_doing(at):
+    """A fast answer to a jump looks like a spike where the neighbours agree by chance."""
+    values, given = noisy(1), np.repeat(np.arange(40) % 2, N // 40).astype(float)
+    values[at] += 0.5 * MOTION.std()
+    assert list(np.flatnonzero(kinds(values)["spike"])) == [at]
+    assert not kinds(values, (given,))
+
+
 def test_runs_of_one_value_are_held_and_extremes_are_clipped():
     values = noisy(0)
     held = np.zeros(N, dtype=bool)

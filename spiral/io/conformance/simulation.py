@@ -44,7 +44,8 @@ def check_simulation(system: System) -> str:
     raise PluginError(
         f"a simulation of {time[-1]:.3g} s that grows without bound{sizes}",
         "nominal values of a motion that stays finite",
-        "check signs and sizes of the parameters' values",
+        "check signs and sizes of the parameters' values; a machine that only its controller holds "
+        "grows so by itself, and is studied all the same",
     )
 
 

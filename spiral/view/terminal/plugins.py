@@ -81,6 +81,9 @@ def _print_plugins(console: Console, outcome: Outcome) -> None:
         if entry.kind == "system":
             _print_system(console, entry.plugin)
         _print_fields(console, entry.plugin)
+    for file, system in outcome.parts["models"].items():
+        print_heading(console, f"{file}: {system.title}")
+        print_system(console, system)
     for failure in outcome.parts["failures"]:
         console.print(Text(f"not usable: {failure.name} in {failure.file}", style="bold red"))
         console.print(Text(f"    {failure.message}"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -159,6 +160,8 @@ def _comparison_table(comparisons: dict[str, Comparison]) -> Table:
         "noise floor": lambda c: percent(c.floor),
     }
     first = next(iter(comparisons.values()))
+    if first.unseen:
+        rows["one sample ahead"] = lambda c: percent(c.unseen[0].error if c.unseen else None)
     for name in first.channels:
         unit = first.model.system.unit_of(name)
         rows[f"test rmse {name} ({unit})"] = lambda c, n=name: number(c.channels[n].rmse)
@@ -180,6 +183,9 @@ def _compare(console: Console, outcome: Outcome) -> None:
     known = {n for r in outcome.parts["problem"].records for n in r.remarks}
     for note in dict.fromkeys(n for n in comparison.notes if n not in known):
         console.print(Text(note[:1].upper() + note[1:]))
+    if not isfinite(comparison.test_error) and "error" not in outcome.result:
+        console.print(Text("A free run leaves all bounds, as of a machine that its controller "
+                           "holds: one sample ahead the model is told", "dim"))  # fmt: skip
     print_outcome_error(console, outcome)
     request = outcome.parts["request"]
     diagnose = (request_command("diagnose", request), "where it fails, and what may be missing")

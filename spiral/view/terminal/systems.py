@@ -78,4 +78,4 @@ def _places(system: System) -> dict[str, list[str]]:
 
 
 def _named(ports: tuple[Port, ...]) -> list[str]:
-    return [place_name(port) for port in ports]
+    return list(dict.fromkeys(place_name(port) for port in ports))
