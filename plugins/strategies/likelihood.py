@@ -79,7 +79,7 @@ class Likelihood(LikelihoodOptions, Strategy):
 
     def ask_again(
         self, assembly: Assembly, fit_state: FitState, comparison: Comparison,
-        aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+        aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[Suggestion, ...]],
         progress: Progress,
     ) -> RemainingLookAlikes:  # fmt: skip
         """Earlier look-alikes beside the final model's values and noise."""

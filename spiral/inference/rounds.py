@@ -21,7 +21,7 @@ from spiral.inference.verdict import missing_effects, study_summary, study_verdi
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.horizon import changes
 from spiral.types.model import Model
-from spiral.types.run import Round, Run, StopReason, Verdict
+from spiral.types.run import Round, Run, StopReason, Suggestion, Verdict
 
 
 @dataclass(frozen=True)
@@ -94,18 +94,20 @@ def _recheck_look_alikes(
     }  # fmt: skip
     if not any(r.admitted for r in at.rounds):
         return at, step
-    promising = _promising_labels(at.rounds)
+    promising = _promising_candidates(at.rounds)
     again = strategy.ask_again(assembly, at.fit_state, last.comparison, asked, promising, progress)
     rounds = tuple(_with_look_alikes(r, asked, again.aliases) for r in earlier)
-    return Checkpoint((*rounds, last), at.fit_state), again.step or step
+    latest = dict.fromkeys((x for x in last.aliases if x in held), ())  # new ones alone
+    rounds = (*rounds, _with_look_alikes(last, latest, again.aliases))
+    return Checkpoint(rounds, at.fit_state), again.step or step
 
 
-def _promising_labels(rounds: Sequence[Round]) -> dict[str, tuple[str, ...]]:
-    """By effect of the final model, other candidates with a net gain when it was admitted."""
+def _promising_candidates(rounds: Sequence[Round]) -> dict[str, tuple[Suggestion, ...]]:
+    """By effect of the final model, itself and others with a net gain when it was admitted."""
     held = rounds[-1].comparison.model.labels
     return {
-        label: tuple(s.effect for s in before.suggestions
-                     if s.effect not in held and (s.net or 0.0) > 0)
+        label: tuple(s for s in before.suggestions
+                     if (s.effect == label or s.effect not in held) and (s.net or 0.0) > 0)
         for before, after in itertools.pairwise(rounds) for label in after.admitted
         if label in held
     }  # fmt: skip

@@ -180,13 +180,13 @@ class Strategy(Plugin):
 
     def ask_again(
         self, assembly: Assembly, fit_state: FitState, comparison: Comparison,
-        aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+        aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[Suggestion, ...]],
         progress: Progress,
     ) -> RemainingLookAlikes:  # fmt: skip
         """Which look-alikes the final model can still not distinguish from its effects.
 
-        ``aliases`` by admitted effect as they were when it was admitted, ``promising`` what else
-        was worth its penalty then, the best first.
+        ``aliases`` by admitted effect as they were when it was admitted, ``promising`` itself and
+        what else was worth its penalty then, the best first.
         """
         return RemainingLookAlikes(aliases)
 

@@ -56,10 +56,11 @@ from spiral.inference.strategies.likelihood.twins import (
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
-from spiral.types.run import Comparison
+from spiral.types.run import Comparison, Suggestion
 
 _LOOK = 3  # scoring steps after which a rival with the model's noise is to be likelier
 _PROMISING = 3  # candidates that are asked in place of two effects
+_CLOSE = 0.95  # share of an effect's worth from which a candidate was close behind it
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class LikelierLookAlike:
 
 def recheck_admitted(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
-    aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+    aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[Suggestion, ...]],
     progress: Progress,
 ) -> tuple[dict[str, tuple[str, ...]], LikelierLookAlike | None]:  # fmt: skip
     """Remaining look-alikes of a final model's effects, and a likelier one, if there is one.
@@ -81,7 +82,7 @@ def recheck_admitted(
     Parameters
     ----------
     assembly, state, comparison : the study's. aliases, promising : by admitted effect, its
-        look-alikes then, and all that promised something then, the best first.
+        look-alikes then, and all that promised something then, the best first, with itself.
     """
     model = fit_by_likelihood(assembly, state, steps=WARM, rough=True)
     left = dict(aliases)
@@ -89,7 +90,8 @@ def recheck_admitted(
     for admitted in effects:
         label = admitted.original.label
         declared = _declared_look_alikes(assembly, admitted)
-        others = tuple(dict.fromkeys((*aliases.get(label, ()), *declared)))
+        close = _runners_up(label, promising.get(label, ()))
+        others = tuple(dict.fromkeys((*aliases.get(label, ()), *declared, *close)))
         again = _contest_effects(options, assembly, model, (admitted,), others, progress)
         if again is None:
             continue
@@ -98,7 +100,8 @@ def recheck_admitted(
         if likelier is not None:
             return left, likelier
     for pair in itertools.pairwise(effects):
-        others = promising.get(pair[0].original.label, ())[:_PROMISING]
+        first = pair[0].original.label
+        others = tuple(s.effect for s in promising.get(first, ()) if s.effect != first)[:_PROMISING]
         again = _contest_effects(options, assembly, model, pair, others, progress)
         likelier = again.find_likelier(options, comparison, progress) if again else None
         if likelier is not None:
@@ -155,6 +158,16 @@ def _has_new_noise(passed: AcceptedCandidate) -> bool:
 def _special_case_labels(admitted: Variant) -> tuple[str, ...]:
     """Labels of the special cases of an effect, which it becomes at the ends of its shapes."""
     return tuple(make_label(x, admitted.original.port) for x in admitted.original.special)
+
+
+def _runners_up(label: str, promising: Sequence[Suggestion]) -> tuple[str, ...]:
+    """Candidates worth nearly as much as the effect was when it was admitted.
+
+    What they were worth then was beside other noise, or values that were not there yet.
+    """
+    own = next((s.net or 0.0 for s in promising if s.effect == label), np.inf)
+    others = (s for s in promising if s.effect != label and (s.net or 0.0) >= _CLOSE * own)
+    return tuple(s.effect for s in others)
 
 
 def _declared_look_alikes(assembly: Assembly, admitted: Variant) -> tuple[str, ...]:

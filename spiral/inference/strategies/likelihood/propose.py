@@ -290,7 +290,7 @@ def choose(
 
 def ask_again(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
-    aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[str, ...]],
+    aliases: Mapping[str, tuple[str, ...]], promising: Mapping[str, tuple[Suggestion, ...]],
     progress: Progress,
 ) -> RemainingLookAlikes:  # fmt: skip
     """Look-alikes that remain, and the step that replaces an effect by a likelier look-alike."""
