@@ -39,6 +39,7 @@ from spiral.types.run import Comparison, StopReason
 _SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to make of one free run
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
+_GREW = 1.05  # times itself, from which the free run of fitted records is worse
 _CHANCE = 2.0  # standard errors that an error ahead grows by chance once in forty
 _COLOUR = 0.25  # share of what is left, half its deviation, up to which its own past may tell it
 
@@ -264,7 +265,9 @@ def unexplained_error_growth(
     """The first horizon at which the error on unseen data grew and nothing random explains it.
 
     Growth of a free run is explained where noise and random forces up to ``settings.random_limit``
-    make as much of its error, and shorter horizons are better and none worse. Growth at a shorter
+    make as much of its error, shorter horizons are better and none worse, and that of the fitted
+    records did not grow as well: what acts at random is the same with either model, and other in
+    other records. Growth at a shorter
     horizon is explained where the free run is better and explained by noise, and the error there
     is no more than the sensors' noise: a random walk in the former model follows readings more
     closely than the constant that took its place.
@@ -276,6 +279,7 @@ def unexplained_error_growth(
     forces = max(random_forces(after).values(), default=0.0)
     chance = told and forces <= settings.random_limit
     chance = chance and "better" in shorter and "worse" not in shorter
+    chance = chance and not after.fit_error > _GREW * before.fit_error
     noise = (
         settings.chi2_limit * _free_run_floor(after, settings) ** 2
         if told and "better" in free

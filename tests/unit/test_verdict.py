@@ -386,6 +386,16 @@ def test_random_forces_that_explain_nothing_excuse_no_error(force, where):
     assert (None if worse is None else worse.horizon) == where
 
 
+@pytest.mark.parametrize(("fitted", "where"), [(0.30, None), (0.42, "free_run")])
+def test_chance_makes_no_free_run_worse_on_the_fitted_records_as_well(fitted, where):
+    """What acts at random is the same with either model, and other in other records."""
+    before = replace(predicting(0.030, 0.30), fit_error=0.29)
+    after = replace(predicting(0.020, 0.40), fit_error=fitted)
+    after = replace(after, random={"force.hidden": 0.15}, innovation_chi2=1.0, disturbed=0.35)
+    worse = unexplained_error_growth(before, after, SETTINGS)
+    assert (None if worse is None else worse.horizon) == where
+
+
 @pytest.mark.parametrize(
     ("ahead", "freely", "where"),
     [(0.0210, 0.30, None), (0.0225, 0.30, "one_sample"), (0.0210, 0.315, "free_run")],
