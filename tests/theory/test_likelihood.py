@@ -274,7 +274,8 @@ def test_own_states_follow_the_motion_as_the_compiled_effect_has_them():
     s = 1j * turn
     through = (2 * ratio * natural * s + natural**2) / (s**2 + 2 * ratio * natural * s + natural**2)
     expected = np.imag(through * np.exp(s * time))
-    np.testing.assert_allclose(found["displacement"][0][-1000:], expected[-1000:], atol=1e-5)
+    second = np.sin(turn * time) - found["deflection"][0]
+    np.testing.assert_allclose(second[-1000:], expected[-1000:], atol=1e-5)
 
 
 def test_own_states_that_forget_within_a_sample_are_followed_in_parts_of_it():

@@ -21,7 +21,8 @@ Array = np.ndarray
 def quarter_car(x: Array, u: SimpleNamespace, c: Values) -> Array:
     """Suspension force on body and wheel; a seat with its passenger may sway on the body.
 
-    The seat's states (place and speed, absolute) come last: z'' = w^2 (b - z) + 2 d w (b' - z').
+    The seat's states (its spring's deflection e = b - z, and its speed z') come last:
+    e' = b' - z', z'' = w^2 e + 2 d w e'.
     """
     body, wheel, body_rate, wheel_rate = x[:4]
     travel, rate = body - wheel, body_rate - wheel_rate
@@ -32,9 +33,9 @@ def quarter_car(x: Array, u: SimpleNamespace, c: Values) -> Array:
     if len(x) > 4:
         turn = 2 * np.pi * c["hidden_mode@body.natural_frequency"]
         ratio = c["hidden_mode@body.damping_ratio"]
-        pull = turn**2 * (body - x[4]) + 2 * ratio * turn * (body_rate - x[5])
+        pull = turn**2 * x[4] + 2 * ratio * turn * (body_rate - x[5])
         on_body = force - c["hidden_mode@body.mass"] * pull
-        seat = [x[5], pull]
+        seat = [body_rate - x[5], pull]
     return np.array([body_rate, wheel_rate, on_body / c["system.body_mass"],
                      (tyre - force) / c["system.wheel_mass"], *seat])  # fmt: skip
 
