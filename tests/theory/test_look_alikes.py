@@ -15,7 +15,9 @@ from spiral.inference.rounds import (
     start_study,
     strategy_for,
 )
+from spiral.inference.strategies.likelihood.look_alikes import _runners_up
 from spiral.types.model import Model, seed_model
+from spiral.types.run import Suggestion
 from tests.marks import others_slow
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
 
@@ -144,3 +146,16 @@ def test_run_out_bow_and_unbalance_are_told_apart_by_a_sweep(truth):
     for key, value in known.items():
         found = run.model.estimates()[key.split(".")[0]][key.split(".")[1]]
         assert abs(found.estimate - value) < 4.5 * found.se
+
+
+@pytest.mark.parametrize(
+    ("net", "close"), [(0.2226, ("saturating_loss",)), (0.21, ()), (0.30, ("saturating_loss",))]
+)
+def test_a_candidate_close_behind_an_effect_is_asked_again(net, close):
+    """By log-likelihood, -log(1 - share): where both explain nearly all, shares are no measure."""
+    told = [Suggestion(n, "", (), 0.0, 0.0, 0.0, s, net=s)
+            for n, s in (("exponential_loss", 0.2282), ("saturating_loss", net))]  # fmt: skip
+    assert _runners_up("exponential_loss", told) == close
+    much = [replace(told[0], net=0.999), replace(told[1], net=0.97)]
+    assert _runners_up("exponential_loss", much) == ()
+    assert _runners_up("another", told) == ()

@@ -163,11 +163,12 @@ def _special_case_labels(admitted: Variant) -> tuple[str, ...]:
 def _runners_up(label: str, promising: Sequence[Suggestion]) -> tuple[str, ...]:
     """Candidates worth nearly as much as the effect was when it was admitted.
 
-    What they were worth then was beside other noise, or values that were not there yet.
+    What they were worth then was beside other noise, or values that were not there yet. A net share
+    s of what is left is worth -log(1 - s) in log-likelihood for each two samples.
     """
-    own = next((s.net or 0.0 for s in promising if s.effect == label), np.inf)
-    others = (s for s in promising if s.effect != label and (s.net or 0.0) >= _CLOSE * own)
-    return tuple(s.effect for s in others)
+    worth = {s.effect: -np.log1p(-min(s.net or 0.0, 1.0)) for s in promising}
+    least = _CLOSE * worth.pop(label, np.inf)
+    return tuple(effect for effect, gain in worth.items() if gain >= least)
 
 
 def _declared_look_alikes(assembly: Assembly, admitted: Variant) -> tuple[str, ...]:
