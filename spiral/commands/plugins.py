@@ -13,11 +13,11 @@ from spiral.types.errors import ConfigError, did_you_mean
 if TYPE_CHECKING:
     from spiral.io.registry import Entry, Registry
     from spiral.io.testing import Check
+    from spiral.types.system import System
 
 
 def list_plugins(request: Request, registry: Registry) -> Outcome:
     """Every plugin, or those of the kinds and names asked for; the model that a file holds."""
-    from spiral.io.config import build_system, compose
     from spiral.io.system_files import plugin_of_file
 
     known = {*registry.kinds, *(e.name for e in registry.entries)}
@@ -29,7 +29,7 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
                 f"a kind ({', '.join(registry.kinds)}), a plugin's name or a model's file",
                 did_you_mean(name, known),
             )
-    models = {f: build_system(compose((f"system={f}",), registry), registry) for f in files}
+    models = {f: _chosen_system((f"system={f}",), registry)[0] for f in files}
     asked = set(request.names)
     entries = [e for e in registry.entries if not asked or {e.kind, e.name} & asked]
     result = {
@@ -82,15 +82,21 @@ def check_plugins(request: Request, registry: Registry, tell: Tell) -> Outcome:
     return Outcome(OK if result["passed"] else BAD_INPUT, result, {"checked": checked})
 
 
+def _chosen_system(overrides: Sequence[str], registry: Registry) -> tuple[System, dict[str, Any]]:
+    """The system that overrides choose, and its part of the configuration."""
+    from spiral.io.config import build_system, compose
+
+    config = compose(overrides, registry)
+    return build_system(config, registry), config["system"]
+
+
 def _check_model(
     overrides: Sequence[str], registry: Registry, tell: Tell
 ) -> tuple[Entry, list[Check]]:
     """The system that overrides choose, its checks, under the name of its file if it is one."""
-    from spiral.io.config import build_system, compose
     from spiral.io.testing import check_system
 
-    config = compose(overrides, registry)
-    system, chosen = build_system(config, registry), config["system"]
+    system, chosen = _chosen_system(overrides, registry)
     entry = registry.entry("system", chosen["name"])
     file = str(chosen.get("path") or "")
     tell(f"checking {file or chosen['name']}")

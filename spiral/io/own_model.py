@@ -149,7 +149,8 @@ def _system_from_equations(
 def _system_from_file(file: str, given: Mapping[str, Any]) -> System:
     """A system from a file; an FMU or a robot also takes ports, inputs and free parameters."""
     plugin = plugin_of_file(file) or "equations"
-    if file in load_registry().names("system"):
+    registry = load_registry(NO_FOLDER)
+    if file in registry.names("system"):
         raise ConfigError(
             f"spiral.system({file!r}), the name of a system that there is",
             "equations, a function or a file",
@@ -163,7 +164,7 @@ def _system_from_file(file: str, given: Mapping[str, Any]) -> System:
             f"the file {file!r} and {', '.join(left)}",
             f"the file, {', '.join(known)}" if known else "the file alone",
         )
-    registry = replace(load_registry(NO_FOLDER), programs=frozenset([file]))
+    registry = replace(registry, programs=frozenset([file]))
     return registry.make("system", plugin, {"path": file, **fields})
 
 

@@ -16,7 +16,7 @@ from spiral.inference.likelihood.fitting import (
     restart_vanished_noise,
 )
 from spiral.inference.likelihood.noise_selection import reselect_noise_model, select_noise_model
-from spiral.inference.likelihood.reported_noise import offset_sentences, reportable_noise
+from spiral.inference.likelihood.reported_noise import ReportedNoise
 from spiral.inference.problem import silent
 from tests.swept_oscillator import (
     KEYS,
@@ -78,7 +78,7 @@ def test_slow_noise_counts_by_how_far_it_goes_over_the_record():
     )
     found = maximise_likelihood(((task, settings),), (), noise, steps=3)
     assert found.noise.values[term.size] > spread
-    shares, _ = reportable_noise(found, 0.0)
+    shares, _ = ReportedNoise(found).sizes(0.0)
     assert shares.get(term.size, 0.0) < 0.5  # beyond that a sensor shows mostly noise
 
 
@@ -93,7 +93,7 @@ def test_slow_noise_that_hardly_moves_is_told_as_an_offset_and_is_part_of_a_free
         (term,), {term.size: 0.3 * spread, term.time: 10 * record.dt * record.samples}
     )
     found = add_standard_errors(maximise_likelihood(((task, settings),), (), noise, steps=3))
-    (said,) = offset_sentences(system, found)
+    (said,) = ReportedNoise(found).offsets(system)
     share = float(said.split(" all along, ")[1].split(" %")[0])
     assert said.startswith("sensor x reads")
     assert " m less than the model" in said

@@ -60,11 +60,7 @@ from spiral.inference.likelihood.free_run_starts import (
 )
 from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.likelihood.initial_states import set_likely_initial_state
-from spiral.inference.likelihood.reported_noise import (
-    drifting_error,
-    offset_sentences,
-    reportable_noise,
-)
+from spiral.inference.likelihood.reported_noise import ReportedNoise
 from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
@@ -128,17 +124,18 @@ def _noise_and_residual_fields(
     assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _FreeRunTolerance, run: FreeRun
 ) -> dict[str, Any]:
     """Fields of the comparison: noise sizes, residual statistics, departures from the model."""
-    sizes, times = reportable_noise(fit.estimate, carried.forces)
+    reported = ReportedNoise(fit.estimate)
+    sizes, times = reported.sizes(carried.forces)
     left, white = _residual_statistics(assembly, fit)
     return {
         **left,
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
-        "drifting": drifting_error(fit.estimate, run),
+        "drifting": reported.error_in_free_run(run),
         "departures": (
             *describe_departures(model, fit.estimate, white, sizes),
-            *offset_sentences(model.system, fit.estimate),
+            *reported.offsets(model.system),
             *far_value_sentences(fit.estimate, assembly.problem.model.given_values),
         ),
     }

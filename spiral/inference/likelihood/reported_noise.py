@@ -10,6 +10,9 @@ values in it. What counts of such noise is its course z over the records, which 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from spiral.engine.likelihood.fit import MaximumLikelihood
@@ -28,60 +31,99 @@ _COUNTS = 0.005  # share from which what acts at random counts
 _STEADY = 2.0  # mean of slow noise over its deviation from which it is an offset
 
 
-def reportable_noise(
-    estimate: MaximumLikelihood, disturbed: float
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Sizes of the noise beside white measurement noise that matter and are determined; its times.
+@dataclass(frozen=True)
+class ReportedNoise:
+    """Noise of an estimate beside white noise, as it is told."""
 
-    A force matters by its share of the machine's own or by what forces make of a free run.
-    """
-    noise, spread, length = estimate.noise, _spreads(estimate), _seconds(estimate)
-    sizes, times, gone = {}, {}, _slow_noise_excursions(estimate)
-    for term in (t for t in noise.terms if _is_determined(estimate, t)):
-        size = noise.values[term.size]
-        if term.kind == "drift":
-            size = max(size * np.sqrt(length), gone[term.size])
-        elif term.size in gone:
-            size = gone[term.size]
-        pushes = term.kind in FORCES
-        share = size if pushes else size / spread[term.where]
-        most = max(share, disturbed) if pushes else share
-        if most >= _COUNTS:
-            sizes[term.size] = float(share)
-            if term.time:
-                times[term.size] = float(noise.values[term.time])
-    return sizes, times
+    estimate: MaximumLikelihood
 
+    def sizes(self, disturbed: float) -> tuple[dict[str, float], dict[str, float]]:
+        """Sizes of noise that matters and is determined, by name; its correlation times.
 
-def drifting_error(estimate: MaximumLikelihood, run: FreeRun) -> float:
-    """Error of the test's free run by slow noise of sensors, rms over channels.
+        A force matters by its share of the machine's own or by what forces make of a free run
+        (``disturbed``).
+        """
+        noise, spread, length = self.estimate.noise, self._spreads, _seconds(self.estimate)
+        sizes, times, gone = {}, {}, self._excursions()
+        for term in (t for t in noise.terms if _is_determined(self.estimate, t)):
+            size = noise.values[term.size]
+            if term.kind == "drift":
+                size = max(size * np.sqrt(length), gone[term.size])
+            elif term.size in gone:
+                size = gone[term.size]
+            pushes = term.kind in FORCES
+            share = size if pushes else size / spread[term.where]
+            most = max(share, disturbed) if pushes else share
+            if most >= _COUNTS:
+                sizes[term.size] = float(share)
+                if term.time:
+                    times[term.size] = float(noise.values[term.time])
+        return sizes, times
 
-    As large as in the fitted records: what a sensor's zero does in the test is not known before.
-    """
-    told, channels = _told_courses(estimate), estimate.prepared[0][0].compiled.traced.channels
-    far = [(t.where, max(_size_in_free_run(t, z) for z in courses)) for t, courses in told]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = [z / run.deviations()[channels.index(where)] for where, z in far]
-    return float(np.sqrt(sum(v**2 for v in shares) / len(channels)))
+    def error_in_free_run(self, run: FreeRun) -> float:
+        """Error of the test's free run by slow noise of sensors, rms over channels.
 
+        As large as in the fitted records: what a sensor's zero does in the test is not known
+        before.
+        """
+        channels = self.estimate.prepared[0][0].compiled.traced.channels
+        told = self._told_courses()
+        far = [(t.where, max(_size_in_free_run(t, z) for z in courses)) for t, courses in told]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = [z / run.deviations()[channels.index(where)] for where, z in far]
+        return float(np.sqrt(sum(v**2 for v in shares) / len(channels)))
 
-def offset_sentences(system: System, estimate: MaximumLikelihood) -> tuple[str, ...]:
-    """A sentence for each sensor whose slow noise hardly moves, so that it is an offset."""
-    said, spread = [], _spreads(estimate)
-    for term, courses in _told_courses(estimate):
-        where = term.where
-        means = np.array([z.mean() for z in courses])
-        value = float(means.mean())
-        still = all(abs(z.mean()) > _STEADY * z.std() for z in courses)
-        if not still or abs(means.sum()) < np.abs(means).sum():  # another sign in another record
-            continue
-        if (share := abs(value) / spread[where]) >= _COUNTS:
-            much = "more" if value > 0 else "less"
-            said.append(
-                f"sensor {where} reads {number(abs(value), 2)} {system.unit_of(where)} {much} than "
-                f"the model all along, {percent(share)} of its motion: like an offset"
-            )
-    return tuple(said)
+    def offsets(self, system: System) -> tuple[str, ...]:
+        """A sentence for each sensor whose slow noise hardly moves, so that it is an offset."""
+        said = []
+        for term, courses in self._told_courses():
+            where = term.where
+            means = np.array([z.mean() for z in courses])
+            value = float(means.mean())
+            still = all(abs(z.mean()) > _STEADY * z.std() for z in courses)
+            if not still or abs(means.sum()) < np.abs(means).sum():  # another sign elsewhere
+                continue
+            if (share := abs(value) / self._spreads[where]) >= _COUNTS:
+                much = "more" if value > 0 else "less"
+                said.append(
+                    f"sensor {where} reads {number(abs(value), 2)} {system.unit_of(where)} {much} "
+                    f"than the model all along, {percent(share)} of its motion: like an offset"
+                )
+        return tuple(said)
+
+    @cached_property
+    def _spreads(self) -> dict[str, float]:
+        """Deviation of each channel in the first record."""
+        task = self.estimate.prepared[0][0]
+        spreads = np.std(task.series.y, axis=0)
+        return {n: float(s) for n, s in zip(task.compiled.traced.channels, spreads, strict=True)}
+
+    @cached_property
+    def _courses(self) -> dict[str, list[Array]]:
+        """z of slow noise over each record, by the name of its size."""
+        return _slow_noise_courses(self.estimate)
+
+    def _told_courses(self) -> list[tuple[NoiseTerm, list[Array]]]:
+        """Slow noise of sensors of a size that the records tell, and its course over each."""
+        slow = _slow_noise(self.estimate.noise, _seconds(self.estimate))
+        told = {s: t for s, t in slow.items() if _is_determined(self.estimate, t)}
+        return [(told[s], z) for s, z in self._courses.items() if s in told]
+
+    def _excursions(self) -> dict[str, float]:
+        """How far slow noise of a sensor goes, by the name of its size.
+
+        A drift from where it was at first: one that drifts steadily goes further than one that
+        wanders by as much from sample to sample. What lasts longer than a tenth of a record from
+        its mean, as the reading's own deviation is: the size is that of many such records, and a
+        zero is part of it.
+        """
+        kinds = {t.size: t.kind for t in self.estimate.noise.terms}
+        excursions: dict[str, float] = {}
+        for size, courses in self._courses.items():
+            drifts = kinds[size] == "drift"
+            far = (np.abs(z).max(initial=0.0) if drifts else z.std() for z in courses)
+            excursions[size] = float(max(far))
+        return excursions
 
 
 def _is_determined(estimate: MaximumLikelihood, term: NoiseTerm) -> bool:
@@ -90,24 +132,10 @@ def _is_determined(estimate: MaximumLikelihood, term: NoiseTerm) -> bool:
     return term.kind != "white" and error < (_TOLD_WITH_TIME if term.time else _TOLD)
 
 
-def _told_courses(estimate: MaximumLikelihood) -> list[tuple[NoiseTerm, list[Array]]]:
-    """Slow noise of sensors of a size that the records tell, and its course over each record."""
-    slow = _slow_noise(estimate.noise, _seconds(estimate))
-    told = {s: t for s, t in slow.items() if _is_determined(estimate, t)}
-    return [(told[s], z) for s, z in _slow_noise_courses(estimate).items() if s in told]
-
-
 def _size_in_free_run(term: NoiseTerm, course: Array) -> float:
     """Error of a free run by slow noise: as far as a drift goes, else from zero on average."""
     far = np.abs(course).max(initial=0.0) if term.kind == "drift" else np.sqrt(np.mean(course**2))
     return float(far)
-
-
-def _spreads(estimate: MaximumLikelihood) -> dict[str, float]:
-    """Deviation of each channel in the first record."""
-    task = estimate.prepared[0][0]
-    spreads = np.std(task.series.y, axis=0)
-    return {n: float(s) for n, s in zip(task.compiled.traced.channels, spreads, strict=True)}
 
 
 def _seconds(estimate: MaximumLikelihood) -> float:
@@ -139,19 +167,3 @@ def _slow_noise_courses(estimate: MaximumLikelihood) -> dict[str, list[Array]]:
             if size in slow:
                 courses.setdefault(size, []).append(run.means[: run.done, first + place])
     return courses
-
-
-def _slow_noise_excursions(estimate: MaximumLikelihood) -> dict[str, float]:
-    """How far slow noise of a sensor goes, by the name of its size.
-
-    A drift from where it was at first: one that drifts steadily goes further than one that wanders
-    by as much from sample to sample. What lasts longer than a tenth of a record from its mean, as
-    the reading's own deviation is: the size is that of many such records, and a zero is part of it.
-    """
-    kinds = {t.size: t.kind for t in estimate.noise.terms}
-    excursions: dict[str, float] = {}
-    for size, courses in _slow_noise_courses(estimate).items():
-        drifts = kinds[size] == "drift"
-        far = (np.abs(z).max(initial=0.0) if drifts else z.std() for z in courses)
-        excursions[size] = float(max(far))
-    return excursions

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from spiral.inference.nearness import next_sample_error
 from spiral.types.formatting import number, percent, probability
 from spiral.view.terminal.findings import print_not_separable, print_unknown_shape
 from spiral.view.terminal.parts import (
@@ -160,8 +161,8 @@ def _comparison_table(comparisons: dict[str, Comparison]) -> Table:
         "noise floor": lambda c: percent(c.floor),
     }
     first = next(iter(comparisons.values()))
-    if first.unseen:
-        rows["one sample ahead"] = lambda c: percent(c.unseen[0].error if c.unseen else None)
+    if next_sample_error(first) is not None:
+        rows["one sample ahead"] = lambda c: percent(next_sample_error(c))
     for name in first.channels:
         unit = first.model.system.unit_of(name)
         rows[f"test rmse {name} ({unit})"] = lambda c, n=name: number(c.channels[n].rmse)

@@ -28,6 +28,7 @@ from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking
 from spiral.inference.likelihood.candidates import Race, Rival
 from spiral.inference.likelihood.fitting import (
+    LITTLE,
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
@@ -109,21 +110,21 @@ class PromisingChanges:
 def find_named_law(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
     white: bool, comparison: Comparison, masks: tuple[Masks, Masks], level: float,
-    changes: PromisingChanges, progress: Progress, much: bool = False,
+    changes: PromisingChanges, progress: Progress,
 ) -> NamedLaw | None:  # fmt: skip
     """The law that is admitted; nothing where none passes.
 
     Parameters
     ----------
     state : the study's. base : the same, fitted on the blocks that select. masks : (select, judge).
-    white : whether nothing but noise, or what acts at random, is left of it. much : whether much
-        acts at random, or is noise of a sensor with a colour: a missing law may hide there.
+    white : whether nothing but noise, or what acts at random, is left of it.
     """
     gone = stand_in_labels(assembly, base)
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
     several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
     moved = is_moved_at_random(comparison, assembly.problem.settings)
     unsure = undetermined_among(assembly, gone, comparison)
+    much = is_much_random(comparison)
     if (white and not (several or aided or moved or unsure or much)) or not options.laws:
         return None
     laws = laws_of(assembly.problem.model.system)
@@ -136,6 +137,11 @@ def find_named_law(
         if law is not None:
             return law
     return None
+
+
+def is_much_random(comparison: Comparison) -> bool:
+    """Whether much acts at random, or is a sensor's noise with a colour: a law may hide there."""
+    return max((comparison.random or {}).values(), default=0.0) > LITTLE
 
 
 def _promising_changes(

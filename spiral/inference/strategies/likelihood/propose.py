@@ -20,7 +20,6 @@ from spiral.inference.likelihood.candidates import (
 )
 from spiral.inference.likelihood.excerpts import excerpt_study
 from spiral.inference.likelihood.fitting import (
-    LITTLE,
     WARM,
     LikelihoodFit,
     fit_by_likelihood,
@@ -45,7 +44,11 @@ from spiral.inference.strategies.likelihood.curves import (
     find_equal_curve,
     find_missing_curve,
 )
-from spiral.inference.strategies.likelihood.laws import PromisingChanges, find_named_law
+from spiral.inference.strategies.likelihood.laws import (
+    PromisingChanges,
+    find_named_law,
+    is_much_random,
+)
 from spiral.inference.strategies.likelihood.look_alikes import recheck_admitted
 from spiral.inference.strategies.likelihood.memory_rounds import find_missing_memory
 from spiral.inference.strategies.likelihood.other_noise import (
@@ -74,7 +77,7 @@ def propose(
     Or two at once, where none is of use alone. None is tried on a record whose time is not the
     model's: of such motion each would be fitted for long and told of nothing.
     """
-    if _is_of_another_time(assembly, state):
+    if comparison.contradictions and _is_of_another_time(assembly, state):
         return Step((), {}, stopped="no_candidate")
     bare, assembly = assembly, enlarge(assembly, state.labels)
     asked = RoundInput(options, bare, comparison, number, progress)
@@ -169,9 +172,8 @@ def _step_for_unexplained(
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
     white, changes = step.stopped == "whiteness", PromisingChanges(assembly, masks[0])
-    much = max((comparison.random or {}).values(), default=0.0) > LITTLE
     law = find_named_law(
-        options, assembly, state, base, white, comparison, masks, level, changes, progress, much
+        options, assembly, state, base, white, comparison, masks, level, changes, progress
     )
     if law is not None:
         label, aliases = law.effect.label, law.aliases
@@ -182,7 +184,7 @@ def _step_for_unexplained(
         )  # fmt: skip
     if not assembly.problem.dictionary:
         return step
-    if white and not much:
+    if white and not is_much_random(comparison):
         curve = find_equal_curve(options, assembly, state, base, comparison, masks, level, progress)
     else:
         curve = find_missing_curve(
