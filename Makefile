@@ -84,15 +84,16 @@ warm: dev
 	@echo "test: compiled kernels"
 	@$(BIN)/python -c '$(foreach module,$(COMPILED),import $(module);)'
 
-# Files in the order of tests/conftest.py, not by their number of tests. A test that hangs fails by name.
+# Files in the order of tests/conftest.py, not by their number of tests. A test that hangs ends its worker, by
+# name (in a thread: the alarm signal is what the program limits reading with).
 test: warm ## Run the tests (without the slow ones)
 	@echo "test: pytest with $(WORKERS) workers, slow tests left out"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --timeout=300 \
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --timeout=300 --timeout-method=thread \
 		--dist loadfile --no-loadscope-reorder $(PYTEST)
 
 test-slow: warm ## Run the slow tests: statistics, whole studies, every tab of the page
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --timeout=3600 --dist worksteal $(PYTEST)
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --timeout=3600 --timeout-method=thread --dist worksteal $(PYTEST)
 
 # Notebooks are executed where they or the package changed; their outputs are kept.
 docs: warm ## Build the documentation into site/ (no network; some two minutes the first time)
