@@ -88,12 +88,12 @@ warm: dev
 # name (in a thread: the alarm signal is what the program limits reading with).
 test: warm ## Run the tests (without the slow ones)
 	@echo "test: pytest with $(WORKERS) workers, slow tests left out"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --timeout=300 --timeout-method=thread \
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --timeout=300 --timeout-method=thread --max-worker-restart=0 \
 		--dist loadfile --no-loadscope-reorder $(PYTEST)
 
 test-slow: warm ## Run the slow tests: statistics, whole studies, every tab of the page
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --timeout=3600 --timeout-method=thread --dist worksteal $(PYTEST)
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --timeout=3600 --timeout-method=thread --max-worker-restart=0 --dist worksteal $(PYTEST)
 
 # Notebooks are executed where they or the package changed; their outputs are kept.
 docs: warm ## Build the documentation into site/ (no network; some two minutes the first time)
