@@ -14,6 +14,8 @@ WORKERS ?= 2
 # otherwise: each of the many processes compiled all anew.
 TEST_ENV := NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 \
 	PYTHONDONTWRITEBYTECODE=
+# A test that hangs ends its worker and is named; by a thread, as the program limits reading with the alarm signal.
+IF_IT_HANGS := --timeout-method=thread --max-worker-restart=0
 # Held back so that mlflow 3.17 fits into the same lock, and so that torch stays the build for CPUs: later
 # ones bring 3 GB of CUDA.
 HELD_BACK := 'pyarrow<26' 'python-dateutil<3' 'torch==2.13.0'
@@ -84,16 +86,15 @@ warm: dev
 	@echo "test: compiled kernels"
 	@$(BIN)/python -c '$(foreach module,$(COMPILED),import $(module);)'
 
-# Files in the order of tests/conftest.py, not by their number of tests. A test that hangs ends its worker, by
-# name (in a thread: the alarm signal is what the program limits reading with).
+# Files in the order of tests/conftest.py, not by their number of tests.
 test: warm ## Run the tests (without the slow ones)
 	@echo "test: pytest with $(WORKERS) workers, slow tests left out"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --timeout=300 --timeout-method=thread --max-worker-restart=0 \
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m 'not slow' -n $(WORKERS) --timeout=300 $(IF_IT_HANGS) \
 		--dist loadfile --no-loadscope-reorder $(PYTEST)
 
 test-slow: warm ## Run the slow tests: statistics, whole studies, every tab of the page
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --timeout=3600 --timeout-method=thread --max-worker-restart=0 --dist worksteal $(PYTEST)
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --timeout=3600 $(IF_IT_HANGS) --dist worksteal $(PYTEST)
 
 # Notebooks are executed where they or the package changed; their outputs are kept.
 docs: warm ## Build the documentation into site/ (no network; some two minutes the first time)
