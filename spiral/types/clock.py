@@ -81,9 +81,10 @@ def suggest_even_steps(steps: Array, mean: float) -> str:
     longest, apart = float(steps.max() / np.median(steps)), steps - mean
     following = float(apart[1:] @ apart[:-1]) / float(apart @ apart)
     if following < _SCATTERED:
+        rate = _shortest_rate(steps, mean)
         return (
-            f"the stamps scatter about an even clock: record.rate={1 / mean:.6g} in place of the "
-            f"column of time; record.resample={1 / mean:.4g} where the readings were taken so"
+            f"the stamps scatter about an even clock: record.rate={rate} in place of the "
+            f"column of time; record.resample={rate} where the readings were taken so"
         )
     if longest > 1.5:
         return (
@@ -93,3 +94,12 @@ def suggest_even_steps(steps: Array, mean: float) -> str:
     return (
         f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"
     )
+
+
+def _shortest_rate(steps: Array, mean: float) -> str:
+    """The rate in Hz with the fewest digits that the scatter of the stamps allows."""
+    late = np.cumsum(steps - mean)
+    texts = [f"{1 / mean:.{digits}g}" for digits in range(2, 7)]
+    run = len(steps) * mean
+    near = [text for text in texts if abs(float(text) * mean - 1) * run <= np.ptp(late)]
+    return near[0] if near else texts[-1]

@@ -36,8 +36,10 @@ _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
 _APART = 3  # readings between close spikes, at most
 _FEWEST_RUNS, _REGULAR = 16, 0.95  # runs of a sensor that repeats, and share of one length
 _STEPS = 3.0  # steps of a converter that values jump by where it is not the steps that last
+_MULTIPLES = 8  # steps that lie between neighbouring values, at most: a fast motion leaves many out
 _LEVELS = 2  # distances of values from which they are judged to be a grid
 _ROUNDED = 0.05  # share of a step that rounding may take
+_SLOWED = 0.2  # of the usual change of a reading, below which a motion comes to rest
 _FREQUENT = 5.0  # times as often as a usual value an extreme repeats where a sensor clips
 _PAIRS = np.array([(i, i + d) for d in range(1, _APART + 1) for i in range(-3, 4 - d)])
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
@@ -111,11 +113,14 @@ def spoilt_readings(
     spoilt: list[InvalidReadings] = []
     same = np.diff(values) == 0
     runs = _long_run_mask(same)
-    clipped = _clipped_mask(values)  # which repeats its extreme, and nothing else
+    least = _STEPS * reading_step(values)  # by which it leaves a value that is not its own
+    clipped = _clipped_mask(values, least)  # which repeats its extreme, and nothing else
     repeats = same & ~runs & ~clipped[1:]
     by_chance = len(values) * float(np.mean(repeats)) ** _RUN  # runs where repeats are independent
     held = np.concatenate([[False], runs]) & ~clipped
     moves = max(clipped.mean(), held.mean()) <= _MOST_STILL  # else it rests so by itself
+    sudden = _long_run_mask(same, np.abs(np.diff(values)), least)
+    held &= np.concatenate([[False], sudden])
     if by_chance < _CHANCE and moves and _is_noise_like(values[1:][~same]):
         spoilt = [InvalidReadings("clipped", clipped), InvalidReadings("held", held)]
     gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
@@ -131,17 +136,26 @@ def spoilt_readings(
 def reading_step(values: Array) -> float:
     """The step q of a converter whose multiples all readings are; 0 where they are no such grid.
 
-    The distances of neighbouring values are whole multiples of the usual one, but for the rounding
-    of a text.
+    The distances of neighbouring values are whole multiples of it, but for the rounding of a text;
+    the usual distance is one of its first few.
     """
     apart = np.diff(np.unique(values))
     if len(apart) < _LEVELS or not np.ptp(values) > 0:
         return 0.0
-    step = float(np.median(apart))
-    told = apart[apart > _ROUNDED * step] / step
-    off = np.abs(told - np.round(told))
-    whole = np.mean((off <= _ROUNDED * told) & (told >= 1 - _ROUNDED)) >= 1 - _ROUNDED
-    return step if whole else 0.0
+    usual = float(np.median(apart))
+    steps = (_step_of(apart, usual / multiple) for multiple in range(1, _MULTIPLES + 1))
+    return next((step for step in steps if step > 0), 0.0)
+
+
+def _step_of(apart: Array, step: float) -> float:
+    """The step near ``step`` of which distances are whole multiples, else 0."""
+    told = apart[apart > _ROUNDED * step]
+    count = np.round(told / step)
+    if not count.all():
+        return 0.0
+    step = float(np.sum(told) / np.sum(count))
+    off = np.abs(told / step - count)
+    return step if np.mean(off <= _ROUNDED) >= 1 - _ROUNDED else 0.0
 
 
 def bridged(values: Array, gone: Array) -> Array:
@@ -183,12 +197,22 @@ def _mask_at(places: Array, count: int) -> Array:
     return mask
 
 
-def _long_run_mask(same: Array) -> Array:
-    """Where a repeated value belongs to a run of at least ``_RUN``."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
+def _runs(mask: Array) -> Array:
+    """(runs, 2) where each run of True begins, and the place after its end."""
+    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
+    return np.flatnonzero(edges).reshape(-1, 2)
+
+
+def _long_run_mask(same: Array, jumps: Array | None = None, least: float = 0.0) -> Array:
+    """Where a repeated value belongs to a run of at least ``_RUN``.
+
+    With ``jumps``, to one that the readings leave by ``least``: they do not where a slow motion
+    stays on one step of a converter.
+    """
     mask = np.zeros(len(same), dtype=bool)
-    for first, last in edges.reshape(-1, 2):
-        if last - first >= _RUN:
+    for first, last in _runs(same):
+        left = jumps is None or last == len(same) or jumps[last] >= least
+        if last - first >= _RUN and left:
             mask[first:last] = True
     return mask
 
@@ -207,7 +231,7 @@ def _is_noise_like(values: Array) -> bool:
 def clipping(key: str, values: Array) -> str:
     """A note where a channel rests at its extremes for many samples in a row."""
     extreme = [at[1:] & at[:-1] for at in _at_extremes(values)]
-    extreme = [e if _count_runs(e) > 1 else np.zeros_like(e) for e in extreme]  # one is a rest
+    extreme = [e if _is_reached_in_motion(e, values) else np.zeros_like(e) for e in extreme]
     share, elsewhere = float(np.mean(extreme[0] | extreme[1])), np.diff(values) == 0
     elsewhere &= ~(extreme[0] | extreme[1])
     levels = len(np.unique(values))  # a coarse converter repeats each of them
@@ -216,15 +240,30 @@ def clipping(key: str, values: Array) -> str:
     return ""
 
 
-def _count_runs(mask: Array) -> int:
-    """Runs of True."""
-    return int(np.sum(mask[1:] & ~mask[:-1])) + int(mask[0])
+def _is_reached_in_motion(rests: Array, values: Array) -> bool:
+    """Whether a channel comes to its extreme, and leaves it, at a speed; more than once.
+
+    A machine that comes to rest there slows down before. ``rests`` (samples - 1,) is True between
+    two readings at the extreme.
+    """
+    span = float(np.ptp(values))
+    usual = span * np.sqrt(np.mean((np.diff(values)[~rests] / span) ** 2))
+    return len(_runs(rests)) > 1 and np.median(_jumps_beside(rests, values)) > _SLOWED * usual
 
 
-def _clipped_mask(values: Array) -> Array:
+def _jumps_beside(rests: Array, values: Array) -> Array:
+    """Sizes of the last change before each run of rests, and of the first one after it."""
+    jumps = np.abs(np.diff(values))
+    beside = [k for first, last in _runs(rests) for k in (first - 1, last) if 0 <= k < len(jumps)]
+    return jumps[beside] if beside else np.zeros(1)
+
+
+def _clipped_mask(values: Array, least: float) -> Array:
+    """Readings at an extreme that it rests at, and comes to or leaves by jumps of ``least``."""
     mask = np.zeros(len(values), dtype=bool)
     for at in _at_extremes(values):
-        if at.sum() >= _TIES and np.any(at[1:] & at[:-1]):
+        rests = at[1:] & at[:-1]
+        if at.sum() >= _TIES and rests.any() and np.median(_jumps_beside(rests, values)) >= least:
             mask |= at
     return mask
 

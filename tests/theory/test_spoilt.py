@@ -128,6 +128,28 @@ def test_a_rest_at_the_least_value_is_no_clipping():
     assert "looks clipped" in clipping("drive", np.clip(np.sin(TIME), -1.0, 0.7))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fine_encoder_stays_on_a_step_where_the_motion_turns(seed):
+    """At a usual speed no two readings are equal; at turning points several are."""
+    turning = np.sin(0.6 * TIME) * (1 + 0.2 * np.sin(0.17 * TIME))
+    q = 0.05 * np.abs(np.diff(turning)).mean()
+    values = q * np.round((turning + 0.5 * q * np.random.default_rng(seed).normal(size=N)) / q)
+    assert np.mean(np.diff(values) == 0) < 0.03
+    assert not kinds(values)
+    dropped = values.copy()
+    dropped[1000:1006] = values[999]
+    assert list(np.flatnonzero(kinds(dropped)["held"])) == list(range(1000, 1006))
+
+
+def test_a_machine_that_comes_to_rest_at_either_end_is_not_clipped():
+    """Trips of a lift between two floors: it slows down before it stands."""
+    share = np.clip((TIME % 20) / 5, 0, 1) - np.clip((TIME % 20 - 10) / 5, 0, 1)
+    trips = 10 * (1 - np.cos(np.pi * share)) / 2
+    assert np.mean(np.diff(trips) == 0) > 0.3
+    assert not clipping("height", np.round(trips, 4))
+    assert "looks clipped" in clipping("height", np.clip(np.round(trips, 4), 0.0, 8.0))
+
+
 @pytest.mark.parametrize("at", [600, 601])
 def test_one_reading_at_a_jump_of_an_input_is_its_doing(at):
     """A fast answer to a jump looks like a spike where the neighbours agree by chance."""

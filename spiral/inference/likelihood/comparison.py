@@ -55,8 +55,8 @@ from spiral.inference.likelihood.free_fit import (
 )
 from spiral.inference.likelihood.free_run_starts import (
     free_runs,
-    mean_hidden_states,
     tracked_nuisances,
+    usual_states,
 )
 from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.likelihood.initial_states import set_likely_initial_state
@@ -153,7 +153,7 @@ def _test_run(
     other: Assembly, state: FitState, model: Model, estimate: MaximumLikelihood
 ) -> tuple[FreeRun, tuple[Array, ...], tuple[Horizon, ...]]:
     """The free run on the test records, its initial states, and errors at all horizons."""
-    run, starts = free_runs(other, state, model, state.settle, mean_hidden_states(estimate))
+    run, starts = free_runs(other, state, model, state.settle, usual_states(estimate))
     forecaster = _make_forecaster(state, tracked_nuisances(other, state, model), starts, estimate)
     return run, starts, errors_at_horizons(other, model, run, forecaster)
 

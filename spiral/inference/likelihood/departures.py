@@ -29,7 +29,7 @@ from spiral.engine.score import residual_block_samples
 from spiral.engine.series import sample_inputs
 from spiral.inference.disturbances import what_acts
 from spiral.physics.passivity import implausible_signs
-from spiral.types.formatting import number, percent
+from spiral.types.formatting import number, percent, plus_minus
 from spiral.types.invalid import reading_step
 from spiral.types.label import without_variant
 from spiral.types.model import Model
@@ -141,9 +141,7 @@ def _noisy_input_remark(estimate: MaximumLikelihood, random: Iterable[str]) -> t
         return ()
     many = "inputs" if len(names) > 1 else "input"
     acting = what_acts(task.model)
-    return (
-        f"noise in the measured {many} {', '.join(names)} would look like that random {acting}",
-    )
+    return (f"noise in the measured {many} {', '.join(names)} would look like a random {acting}",)
 
 
 def drifting_parameters(estimate: MaximumLikelihood) -> dict[str, float]:
@@ -184,7 +182,7 @@ def _drift_remark(estimate: MaximumLikelihood) -> tuple[str, ...]:
     share, error = change / abs(values[best]), change / abs(values[best]) / abs(ratio)
     beside = f" (or {', '.join(map(without_variant, alike))})" if alike else ""
     much = abs(share) > 1  # a zero that wanders, say: its value is no measure of how far
-    size = "more than itself" if much else f"{100 * share:+.2g} +- {100 * abs(error):.1g} %"
+    size = "more than itself" if much else f"{plus_minus(100 * share, 100 * abs(error))} %"
     return (
         f"as if {without_variant(best)}{beside} changed by {size} over the record: with time, "
         "or with something else that changes, such as temperature, wear, speed or amplitude",

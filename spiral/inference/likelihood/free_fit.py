@@ -126,9 +126,9 @@ def free_run_sentences(fit: LikelihoodFit, free: LikelihoodFit) -> tuple[str, ..
     if not key or not apart[key] > _APART:
         return ()
     return (
-        f"{without_variant(key)} is most likely {number(most_likely.values[key])} and "
-        f"{number(best.values[key])} where a free run is best, {number(apart[key], 2)} standard "
-        "errors apart: the force beside the model is not random",
+        f"{without_variant(key)} is {number(most_likely.values[key])} where the next sample is "
+        f"predicted best and {number(best.values[key])} where a free run is, "
+        f"{number(apart[key], 2)} standard errors apart: the force beside the model is not random",
     )
 
 

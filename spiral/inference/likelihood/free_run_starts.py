@@ -1,8 +1,17 @@
-"""Initial states of free runs: from a smoother over the record, refined by least squares."""
+"""Initial states of free runs: from a smoother over the record, refined by least squares.
+
+Where the smoother begins, hidden states x_h are those that the fitted records show beside such
+readings: their conditional mean given the measured states x_m at the first sample,
+
+    E[x_h | x_m] = m_h + C_hm C_mm^-1 (x_m - m_m),
+
+m and C the means and covariances of the filtered states over the first fitted record. Of a machine
+that has no place of its own (a link behind a gear) the hidden position is that of the measured one.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,15 +39,35 @@ from spiral.types.record import Array
 
 _STEPS = 8  # of least squares that refine a start
 _SHORTEST = 16  # samples of a settling part
+_ALIKE = 1e-9  # of the largest, singular values of measured states that move together
+
+
+@dataclass(frozen=True)
+class UsualStates:
+    """Hidden states as the fitted records show them beside the measured ones.
+
+    ``means`` (n,) of all states; ``slopes`` (n, n) of the conditional mean, zero but in rows of
+    hidden and columns of measured ones; ``hidden`` (n,).
+    """
+
+    means: Array
+    slopes: Array
+    hidden: Array
+
+    def beside(self, start: Array) -> Array:
+        """(n,) a first state, hidden ones as usual beside its measured ones."""
+        told = self.means + self.slopes @ (start - self.means)
+        return np.where(self.hidden, told, start)
 
 
 def free_runs(
-    assembly: Assembly, state: FitState, model: Model, settle: float | None, usual: Array | None
-) -> tuple[FreeRun, tuple[Array, ...]]:
+    assembly: Assembly, state: FitState, model: Model, settle: float | None,
+    usual: UsualStates | None,
+) -> tuple[FreeRun, tuple[Array, ...]]:  # fmt: skip
     """Free runs over the records of a study, and their initial states (1, n).
 
     These are estimated from the first ``settle`` seconds of each record (all of it where that is
-    left out), starting from ``usual`` states.
+    left out), hidden ones starting from ``usual`` states.
     """
     series = assembly.study.series
     settled = tuple(
@@ -54,8 +83,8 @@ def free_runs(
     followed = tracked_nuisances(assembly, state, model)
     for r, head in enumerate(heads.study.series):
         task = filter_task(heads, model, rows[r], head.record, head.substeps)
-        if usual is not None and len(usual) == len(task.states):
-            task = replace(task, start=np.where(np.isnan(usual), task.start, usual))
+        if usual is not None and len(usual.means) == len(task.states):
+            task = replace(task, start=usual.beside(task.start))
         if settle is None and state.starts is not None:
             task = replace(task, start=state.starts[r])
         if not followed and state.noise is not None:
@@ -71,8 +100,8 @@ def free_runs(
     return run, refined.fitted.point.starts
 
 
-def mean_hidden_states(estimate: MaximumLikelihood) -> Array | None:
-    """(n,) means of hidden states over the first fitted record; nan for measured ones.
+def usual_states(estimate: MaximumLikelihood) -> UsualStates | None:
+    """Hidden states beside measured ones over the first fitted record; nothing where it is lost.
 
     A filter that starts a hidden state at zero (no substrate, say) may be led to where the model
     diverges.
@@ -81,8 +110,15 @@ def mean_hidden_states(estimate: MaximumLikelihood) -> Array | None:
     run = predict_readings(task, settings, estimate.noise, keep=True)
     if not run.whole:
         return None
-    means = run.means[:, : len(task.states)].mean(axis=0)
-    return np.where([n in task.compiled.traced.channels for n in task.states], np.nan, means)
+    states = run.means[:, : len(task.states)]
+    hidden = np.array([n not in task.compiled.traced.channels for n in task.states])
+    means, slopes = states.mean(axis=0), np.zeros((len(hidden), len(hidden)))
+    spread = np.maximum(states.std(axis=0), np.finfo(float).tiny)
+    apart = (states - means) / spread
+    if hidden.any() and not hidden.all():
+        told = np.linalg.lstsq(apart[:, ~hidden], apart[:, hidden], rcond=_ALIKE)[0].T
+        slopes[np.ix_(hidden, ~hidden)] = told * np.divide.outer(spread[hidden], spread[~hidden])
+    return UsualStates(means, slopes, hidden)
 
 
 def _smoothed_means(

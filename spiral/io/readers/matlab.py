@@ -1,5 +1,7 @@
 """MATLAB files of versions 4 to 7: what they declare is counted before SciPy unpacks them.
 
+SciPy trusts the types of elements, and a wrong one ends the whole process: they are checked, too.
+
 A variable of version 5 is an element: a tag (type, bytes) and its content, perhaps deflated. An
 array is the elements flags, sizes, name, numbers; a cell or struct holds further arrays instead of
 numbers. Source: MathWorks, *MAT-File Format*, chapter 1.
@@ -10,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,11 +21,14 @@ import numpy as np
 from spiral.io.readers.containers import Allowance, series_in_array
 from spiral.types.errors import InputError
 
-_DEPTH = 12
+_DEPTH = 12  # of cells and structs inside each other
 _BLOCK = 1 << 20
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _OBJECT, _TEXT, _SPARSE = 1, 2, 3, 4, 5
 _OPAQUE = (16, 17)  # functions and objects of newer classes, which hold no series
+_INT8, _INT32, _UINT32, _UTF8 = 1, 5, 6, 16
+_NUMBERS = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13))  # types of elements that hold numbers
+_LETTERS = frozenset((1, 2, 3, 4, 16, 17, 18))
 _NAME = 1 << 20  # bytes that a name or a list of sizes may take
 _COMPLEX = 0x800
 _NUMBER = 8  # bytes of a number as it is worked with, whatever the file keeps it as
@@ -50,12 +55,13 @@ def mat_variables(given: str, path: Path) -> dict[str, Any]:
 
     allowance = Allowance(given, path.stat().st_size)
     with path.open("rb") as file:
+        names = None
         if file.read(10) == b"MATLAB 5.0":
-            _Declared(file, allowance).count()
+            names = _Declared(file, allowance).count()
         else:  # version 4, whose arrays lie in the file as they are
             for _, shape, kind in whosmat(path):
                 allowance.take(0 if kind == "sparse" else _NUMBER * math.prod(shape))
-    variables = loadmat(path, struct_as_record=True)
+    variables = loadmat(path, struct_as_record=True, variable_names=names)
     return {k: v for k, v in variables.items() if not k.startswith("__")}
 
 
@@ -76,6 +82,10 @@ def _flatten_variable(name: str, value: Any, depth: int = 0) -> Iterator[tuple[s
             yield from _flatten_variable(f"{place}.{part}", item[part], depth + 1)
 
 
+class _OpaqueError(Exception):
+    """A function, or an object of a newer class: it holds no series, and is not read."""
+
+
 class _Declared:
     """A walk over the elements of a file of version 5 that counts what its arrays unpack to."""
 
@@ -84,83 +94,106 @@ class _Declared:
         file.seek(126)
         self._order = "<" if file.read(2) == b"IM" else ">"
 
-    def count(self) -> None:
-        """Every variable. A file that breaks off is left to the reader, which says so."""
+    def count(self) -> list[str]:
+        """Every variable; the names of those that hold no functions or objects of newer classes.
+
+        A file that breaks off is left to the reader, which says so.
+        """
+        names = []
         while len(tag := self._file.read(8)) == 8:
             kind, size = struct.unpack(self._order + "II", tag)
             after = self._file.tell() + size
-            if kind == _COMPRESSED:
-                self._count_element(_Inflated(self._file, size), 0)
-            elif kind == _MATRIX:
-                self._count_array(self._file, size, 0)
+            try:
+                if kind == _COMPRESSED:
+                    names.append(self._count_element(_Inflated(self._file, size), 0))
+                elif kind == _MATRIX:
+                    names.append(self._count_array(self._file, size, 0))
+            except _OpaqueError:
+                self._allowance.take(size)
             self._file.seek(after)
+        return names
 
-    def _count_element(self, source: Any, depth: int) -> int:
-        """One array with its tag; the bytes it takes."""
-        tag = source.read(8)
-        if len(tag) < 8:
-            return 8
-        kind, size = struct.unpack(self._order + "II", tag)
-        if kind == _MATRIX:
-            self._count_array(source, size, depth)
-        else:
-            _skip_bytes(source, size)
-        return 8 + size
+    def _count_element(self, source: Any, depth: int) -> str:
+        """One array with its tag; its name."""
+        _, size, _ = self._read_tag(source, {_MATRIX})
+        return self._count_array(source, size, depth)
 
-    def _count_array(self, source: Any, size: int, depth: int) -> None:
-        """Count an array of so many bytes, and what lies in it."""
-        flags, used = self._read_short_element(source)
-        if len(flags) < 8:  # an empty array, or one that is none
-            self._allowance.take(0)
-            _skip_bytes(source, size - used)
-            return
+    def _count_array(self, source: Any, size: int, depth: int) -> str:
+        """Count an array of so many bytes, and what lies in it; its name."""
+        self._allowance.take(0)
+        if not size:
+            return ""
+        if depth > _DEPTH:
+            raise self._damaged(f"arrays more than {_DEPTH} deep in each other")
+        flags = self._read_short_element(source, {_UINT32})
+        if len(flags) < 8:
+            raise self._damaged("an array without a class")
         first, most = struct.unpack(self._order + "II", flags[:8])
         kind = first & 0xFF
         if kind in _OPAQUE:
-            self._allowance.take(size)
-            _skip_bytes(source, size - used)
-            return
-        sizes, more = self._read_short_element(source)
-        used += more
+            raise _OpaqueError
+        sizes = self._read_short_element(source, {_INT32, _UINT32})
         count = len(sizes) // 4
         entries = math.prod(struct.unpack(f"{self._order}{count}I", sizes[: 4 * count]))
+        name = self._read_short_element(source, {_INT8, _UTF8}).decode("latin1")
         if kind in (_CELL, _STRUCT, _OBJECT):
-            self._count_contents(source, size - used, kind, entries, depth)
-            return
+            self._count_contents(source, kind, entries, depth)
+            return name
         each = {_SPARSE: 2 * _NUMBER, _TEXT: 4}.get(kind, _NUMBER)
         count = most if kind == _SPARSE else entries
-        self._allowance.take(count * each * (2 if first & _COMPLEX else 1))
-        _skip_bytes(source, size - used)
+        complex_ = bool(first & _COMPLEX)
+        self._allowance.take(count * each * (2 if complex_ else 1))
+        places = [{_INT32, _UINT32}] * 2 if kind == _SPARSE else []
+        numbers = _LETTERS if kind == _TEXT else _NUMBERS
+        for allowed in (*places, numbers, *[numbers] * complex_):
+            self._skip_element(source, allowed)
+        return name
 
-    def _count_contents(self, source: Any, left: int, kind: int, entries: int, depth: int) -> None:
-        """The arrays in a cell or struct, after the name and, of structs, the fields' names."""
-        parts = []
-        for _ in range({_CELL: 1, _STRUCT: 3, _OBJECT: 4}[kind]):
-            content, used = self._read_short_element(source)
-            parts.append(content)
-            left -= used
+    def _count_contents(self, source: Any, kind: int, entries: int, depth: int) -> None:
+        """The arrays in a cell or struct, after the fields' names of a struct."""
         fields = 1
+        if kind == _OBJECT:
+            self._read_short_element(source, {_INT8, _UTF8})  # its class
         if kind != _CELL:
-            length = int.from_bytes(parts[-2], "little" if self._order == "<" else "big")
-            fields = len(parts[-1]) // max(length, 1)
+            length = self._read_short_element(source, {_INT32, _UINT32})
+            names = self._read_short_element(source, {_INT8, _UTF8})
+            order: Any = "little" if self._order == "<" else "big"
+            fields = len(names) // max(int.from_bytes(length, order), 1)
         self._allowance.take(8 * entries * fields)
-        while left >= 8 and depth < _DEPTH:
-            left -= self._count_element(source, depth + 1)
-        _skip_bytes(source, left)
+        for _ in range(entries * fields):
+            self._count_element(source, depth + 1)
 
-    def _read_short_element(self, source: Any) -> tuple[bytes, int]:
-        """The content of a short element, and the bytes it takes with its tag and padding."""
+    def _read_tag(self, source: Any, allowed: Set[int]) -> tuple[int, int, bytes]:
+        """Type, size and, of four bytes or fewer, content of an element; type 0 at the end."""
         tag = source.read(8)
         if len(tag) < 8:
-            return b"", 8
+            return 0, 0, b""
         kind, size = struct.unpack(self._order + "II", tag)
-        if kind >> 16:  # four bytes or fewer lie in the tag itself
-            return tag[4 : 4 + min(kind >> 16, 4)], 8
+        short = kind >> 16
+        kind, size = (kind & 0xFFFF, short) if short else (kind, size)
+        if kind not in allowed or short > 4:
+            raise self._damaged(f"an element of type {kind}, {size} bytes")
+        return kind, size, tag[4 : 4 + size] if short else b""
+
+    def _read_short_element(self, source: Any, allowed: Set[int]) -> bytes:
+        """The content of a short element of an allowed type."""
+        _, size, content = self._read_tag(source, allowed)
+        if content or not size:
+            return content
         if size > _NAME:
-            raise InputError(f"{self._allowance.given}: a name of {size / 1e6:.3g} MB",
-                             "a MATLAB file that is whole", "export it anew")  # fmt: skip
-        padded = -(-size // 8) * 8
-        return source.read(padded)[:size], 8 + padded
+            raise self._damaged(f"a name of {size / 1e6:.3g} MB")
+        return source.read(-(-size // 8) * 8)[:size]
+
+    def _skip_element(self, source: Any, allowed: Set[int]) -> None:
+        """Pass over an element of an allowed type."""
+        _, size, content = self._read_tag(source, allowed)
+        if not content:
+            _skip_bytes(source, -(-size // 8) * 8)
+
+    def _damaged(self, what: str) -> InputError:
+        return InputError(
+            f"{self._allowance.given}: {what}", "a MATLAB file that is whole", "export it anew"
+        )
 
 
 class _Inflated:
