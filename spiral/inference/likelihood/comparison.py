@@ -114,18 +114,19 @@ def compare_by_likelihood(
         **_note_fields(problem, state, model, fit, free, told),
         noise_ratio=_declared_noise_ratio(problem.records, state.noise),
         **seen,
-        **_noise_and_residual_fields(assembly, fit, model, carried, run),
+        **_noise_and_residual_fields(assembly, fit, model, carried, run, floor),
         uncertain=0.0 if other is None else carried.doubts,
         traces=Traces(own.predicted, tested, run.settled[0], innovations(fit)),
     )
 
 
 def _noise_and_residual_fields(
-    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _FreeRunTolerance, run: FreeRun
-) -> dict[str, Any]:
+    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _FreeRunTolerance, run: FreeRun,
+    floor: float,
+) -> dict[str, Any]:  # fmt: skip
     """Fields of the comparison: noise sizes, residual statistics, departures from the model."""
     reported = ReportedNoise(fit.estimate)
-    sizes, times = reported.sizes(carried.forces)
+    sizes, times = reported.sizes(carried.forces, floor)
     left, white = _residual_statistics(assembly, fit)
     return {
         **left,

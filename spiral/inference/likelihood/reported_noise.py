@@ -37,11 +37,11 @@ class ReportedNoise:
 
     estimate: MaximumLikelihood
 
-    def sizes(self, disturbed: float) -> tuple[dict[str, float], dict[str, float]]:
+    def sizes(self, disturbed: float, floor: float) -> tuple[dict[str, float], dict[str, float]]:
         """Sizes of noise that matters and is determined, by name; its correlation times.
 
-        A force matters by its share of the machine's own or by what forces make of a free run
-        (``disturbed``).
+        A force matters by its share of the machine's own, or by what forces make of a free run
+        (``disturbed``), as such and beside what sensors' noise makes of it (``floor``).
         """
         noise, spread, length = self.estimate.noise, self._spreads, _seconds(self.estimate)
         sizes, times, gone = {}, {}, self._excursions()
@@ -54,7 +54,7 @@ class ReportedNoise:
             pushes = term.kind in FORCES
             share = size if pushes else size / spread[term.where]
             most = max(share, disturbed) if pushes else share
-            if most >= _COUNTS:
+            if most >= _COUNTS or (pushes and disturbed > floor):
                 sizes[term.size] = float(share)
                 if term.time:
                     times[term.size] = float(noise.values[term.time])
