@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from spiral.engine.series import rates_per_sample
-from spiral.types.parameter import Input
+from spiral.types.parameter import HELD, Input
 from spiral.types.placement import input_columns
 from spiral.types.record import Array, integrate_derived_inputs
 from spiral.types.system import System
@@ -84,8 +84,9 @@ def lay_out_inputs(
 
 def _between_samples(item: Input, rows: Array, substeps: int) -> InputColumn:
     """An input (samples, ...) as it runs between its samples."""
-    if item.interpolation == "zero_order":
-        return InputColumn((rows,))
+    if item.interpolation in HELD:
+        at = np.maximum(np.arange(len(rows)) - HELD[item.interpolation], 0)
+        return InputColumn((rows[at],))
     if item.interpolation == "linear":
         return InputColumn((rows, np.diff(rows, axis=0, append=rows[-1:])))
     if item.interpolation == "band_limited":

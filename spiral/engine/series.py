@@ -12,6 +12,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from spiral.types.noise import estimate_noise
+from spiral.types.parameter import HELD, Interpolation
 from spiral.types.record import Array, Record
 from spiral.types.system import System
 
@@ -243,7 +244,7 @@ def stage_inputs(system: System, record: Record, substeps: int) -> Array:
         if i.derivative
     ]
     columns.append(record.time[0] + fine * record.dt)
-    held = [k for k, i in enumerate(system.inputs) if record.between(i) == "zero_order"]
+    held = [k for k, i in enumerate(system.inputs) if record.between(i) in HELD]
     return rows_at_stages(np.column_stack(columns), held)
 
 
@@ -270,10 +271,10 @@ def sample_inputs(stages: Array, substeps: int) -> Array:
     return rows
 
 
-def interpolate_input(values: Array, coarse: Array, fine: Array, how: str) -> Array:
+def interpolate_input(values: Array, coarse: Array, fine: Array, how: Interpolation) -> Array:
     """An input on a finer grid, run between its samples as ``Input.interpolation`` says."""
-    if how == "zero_order":
-        return values[fine.astype(np.int64)]
+    if how in HELD:
+        return values[np.maximum(fine.astype(np.int64) - HELD[how], 0)]
     if how == "linear":
         return np.interp(fine, coarse, values)
     if how == "band_limited":

@@ -10,7 +10,7 @@ from spiral.types.formatting import join_words, number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED, FORCES
-from spiral.types.parameter import BETWEEN, Interpolation
+from spiral.types.parameter import BETWEEN, HELD, Interpolation
 from spiral.types.run import Comparison
 from spiral.types.system import has_coordinates
 
@@ -96,14 +96,23 @@ def input_sentences(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
     said = []
     for way in dict.fromkeys(between.values()):
         names = [name for name, own in between.items() if own == way]
-        alike = "; half a sample of lag or delay looks the same" if way == "zero_order" else ""
         several = len(names) > 1
         said.append(
             f"with this model {join_words(names)} {'are' if several else 'is'} most likely "
-            f"{BETWEEN[way]} between {'their' if several else 'its'} samples "
-            f"(record.hold={way} declares it{alike})"
+            f"{BETWEEN[way]}{',' if HELD.get(way) else ''} between "
+            f"{'their' if several else 'its'} samples (record.hold={way} declares it"
+            f"{_like_a_delay(way)})"
         )
     return tuple(said)
+
+
+def _like_a_delay(way: Interpolation) -> str:
+    """What an input that is held looks like: it acts half a sample late on average."""
+    late = HELD.get(way)
+    if late is None:
+        return ""
+    samples = f"{late + 0.5:g} samples" if late else "half a sample"
+    return f"; {samples} of lag or delay looks the same"
 
 
 def _bound_sentences(model: Model) -> tuple[str, ...]:

@@ -148,7 +148,7 @@ class Problem:
         return (*fitted, *tested)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:
-        """The same with these interpolations of inputs, where a record declares none."""
+        """The same with these interpolations of inputs (``Record.running``)."""
         if not ways:
             return self
         records, test = (tuple(r.running(ways) for r in x) for x in (self.records, self.test))

@@ -51,6 +51,7 @@ from spiral.types.system import has_coordinates
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
 _SMALL_PART = 0.25  # of the error that is left: a sixteenth of its square
+_MOST_AT_RANDOM = 0.5  # of the machine's own forces: then they are a fifth of what moves it
 
 _VERDICTS = {
     "effect_missing": "An effect is missing.",
@@ -130,10 +131,15 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
     free runs that is larger than the noise. Little is ``settings.smallest`` or less of that error
     on unseen data, where it is not carried away. What forces make of it no effect can take away,
     and errors of several causes add up in squares: beside them little is what is less than
-    ``_SMALL_PART`` of the error that is left, also some time ahead.
+    ``_SMALL_PART`` of the error that is left, also some time ahead. Beside random forces of more
+    than ``_MOST_AT_RANDOM`` of the machine's own, too, what moves the machine is not known.
     """
     first, last = rounds[0].comparison, rounds[-1].comparison
-    if len(rounds) < 2 or is_free_run_carried_away(last):
+    if len(rounds) < 2:
+        return False
+    if max(random_forces(last).values(), default=0.0) > _MOST_AT_RANDOM:
+        return True
+    if is_free_run_carried_away(last):
         return False
     if shortfalls(last, settings):
         return last.test_error > (1 - settings.smallest) * first.test_error

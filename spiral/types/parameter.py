@@ -99,15 +99,26 @@ class State:
         _check_name("state", self.name)
 
 
-Interpolation = Literal["smooth", "band_limited", "linear", "zero_order"]
+Interpolation = Literal[
+    "smooth", "band_limited", "linear",
+    "zero_order", "zero_order_1", "zero_order_2", "zero_order_3",
+]  # fmt: skip
 
 BETWEEN: dict[Interpolation, str] = {
     "smooth": "a cubic spline through the samples",
     "band_limited": "a band-limited signal through the samples",
     "linear": "straight lines through the samples",
     "zero_order": "held until the next sample",
+    "zero_order_1": "held until the next sample, one sample late",
+    "zero_order_2": "held until the next sample, two samples late",
+    "zero_order_3": "held until the next sample, three samples late",
 }
 """Each interpolation of an input between its samples, in words."""
+
+HELD: dict[Interpolation, int] = {
+    "zero_order": 0, "zero_order_1": 1, "zero_order_2": 2, "zero_order_3": 3,
+}  # fmt: skip
+"""Interpolations that hold a value until the next one, and how many samples late it acts."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +127,12 @@ class Input:
 
     ``smooth`` is a cubic spline (speed, phase), ``band_limited`` a polyphase FIR interpolation
     (a measured force), ``linear`` straight lines, ``zero_order`` holds each value until the next
-    sample. A record may say otherwise (``record.hold``); where none does, the default strategy
-    takes the most likely of the four. ``derived_from`` names another input that this one follows
-    from where it is not measured (``phase`` from ``speed``). With ``derivative`` its rate is known
-    as ``NAME_rate``: that of a least-squares spline as smooth as the samples' noise asks for.
+    sample, ``zero_order_1`` from the next one on (a controller's command that acts in its next
+    cycle; also ``_2`` and ``_3``). A record may say otherwise (``record.hold``); where none does,
+    the default strategy takes the most likely of them. ``derived_from`` names another input that
+    this one follows from where it is not measured (``phase`` from ``speed``). With ``derivative``
+    its rate is known as ``NAME_rate``: that of a least-squares spline as smooth as the samples'
+    noise asks for.
     """
 
     name: str

@@ -15,7 +15,7 @@ from spiral.types.clock import MINIMUM_SAMPLES, check_forward, check_time, check
 from spiral.types.errors import InputError, did_you_mean
 from spiral.types.invalid import InvalidReadings, bridged, clipping, spoilt_readings
 from spiral.types.noise import estimate_noise
-from spiral.types.parameter import Input, Interpolation
+from spiral.types.parameter import HELD, Input, Interpolation
 from spiral.types.probing import readings_with_rates
 
 if TYPE_CHECKING:
@@ -121,8 +121,12 @@ class Record:
         return self.hold.get(known.name, known.interpolation)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Record:
-        """The record with ``ways`` as interpolation of inputs for which it states none."""
-        hold = {**ways, **self.hold}
+        """The record with ``ways`` as interpolation of inputs for which it states none.
+
+        Of one that it states to be held, how late it acts may be among them.
+        """
+        late = {k for k, w in self.hold.items() if w == "zero_order" and ways.get(k) in HELD}
+        hold = {**ways, **{k: w for k, w in self.hold.items() if k not in late}}
         if hold == self.hold:
             return self
         known, key = self._otherwise, tuple(sorted(hold.items()))

@@ -18,7 +18,11 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 import spiral
 from experiments.studies.signals import band_limited
+from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.task import build_task, run_from_rest
+from spiral.engine.series import stage_inputs
+from spiral.inference.likelihood.interpolation import _is_interpolation_open
+from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
@@ -97,6 +101,54 @@ def test_an_input_that_is_held_is_integrated_as_one():
         errors[hold] = np.std(run[:, 0] - x) / np.std(x)
     assert errors["zero_order"] < 1e-6
     assert errors["band_limited"] > 0.02
+
+
+@pytest.mark.parametrize("late", [1, 2, 3])
+def test_a_held_input_that_acts_late_is_the_one_before(late):
+    """As the record of what acted, held: each value from so many samples on."""
+    system, (time, force, x) = Oscillator(), held(200)
+    acting = force[np.maximum(np.arange(200) - late, 0)]
+    told, as_it_acted = (
+        stage_inputs(system, make_record(system, "", time, {"x": x}, {"force": f}, hold=hold), 2)
+        for f, hold in ((force, f"zero_order_{late}"), (acting, "zero_order"))
+    )
+    np.testing.assert_array_equal(told, as_it_acted)
+
+
+@pytest.mark.parametrize("hold", ["zero_order", pytest.param({}, marks=pytest.mark.slow)])
+def test_a_held_input_that_acts_two_samples_late_is_found(hold):
+    """Of a fast flow, which shows its steps: a delay that is rational in frequency is less likely.
+
+    Also where nobody told that the input is held.
+    """
+    rng, decay = np.random.default_rng(0), np.exp(-0.01 / 0.04)
+    asked, x = np.repeat(rng.normal(size=500), 4), np.zeros(2000)
+    for k in range(2, 1999):
+        x[k + 1] = decay * x[k] + (1 - decay) * 2.0 * asked[k - 2]
+    system = spiral.system(
+        ["T*x' = k*u - x"], states={"x": "m"}, inputs={"u": "m"}, observed=["x"],
+        parameters={"T": (0.046, "s"), "k": (1.9, "1")}, free=["T", "k"],
+    )  # fmt: skip
+    noisy = x + 0.01 * x.std() * rng.normal(size=2000)
+    record = make_record(system, "", np.arange(2000) / 100, {"x": noisy}, {"u": asked}, hold=hold)
+    run = spiral.discover(record, system)
+    assert run.verdict == "nothing_missing"
+    assert run.rounds[-1].comparison.between == {"u": "zero_order_2"}
+    assert "held until the next sample, two samples late, between its samples" in run.summary
+    assert "2.5 samples of lag or delay looks the same" in run.summary
+    for name, true in (("T", 0.04), ("k", 2.0)):
+        one = run.model.estimates()["system"][name]
+        assert abs(one.estimate - true) < 3 * one.se
+
+
+def test_a_hold_that_is_declared_late_is_believed():
+    """A record that declares how late its input acts is asked nothing."""
+    record = replace(recorded("zero_order_1", 400), name="told")
+    problem = Problem(seed_model(Oscillator(), values=TRUTH), (record,), ())
+    (force,) = Oscillator().inputs
+    assert not _is_interpolation_open(problem, force)
+    held_one = replace(problem, records=(recorded("zero_order", 400),))
+    assert _is_interpolation_open(held_one, force)
 
 
 @pytest.mark.slow
@@ -272,3 +324,21 @@ def test_a_value_that_was_held_is_free_once_an_effect_tells_it(valve):
         one = valve.model.estimates()["system"][name]
         assert one.se is not None
         assert one.estimate == pytest.approx(true, abs=3 * one.se)
+
+
+def test_no_random_force_acts_on_what_delays_a_signal():
+    """The states of a late actuator and of a slow sensor are none of the machine."""
+    from spiral.io.registry import load_registry
+
+    late = [load_registry(local=False).make("effect", n) for n in ("input_delay", "sensor_lag")]
+    record = recorded("zero_order", 400)
+    own = seed_model(Oscillator(), values=TRUTH)
+    times = {"input_delay.time": 0.01, "sensor_lag.time": 0.01}
+    both = seed_model(Oscillator(), tuple(late), values={**TRUTH, **times})
+    groups = [
+        {w: tuple(task.states[i] for i in at) for w, at in noise_groups(task).items()}
+        for model in (own, both)
+        for task in [build_task(model, compile_model(trace(model.system, model.effects)),
+                                model.row("", ""), record)]
+    ]  # fmt: skip
+    assert groups[0] == groups[1]

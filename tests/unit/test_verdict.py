@@ -193,6 +193,17 @@ def test_what_explains_little_of_what_is_left_unexplained_is_not_what_was_missin
     assert "More is missing" in words
 
 
+@pytest.mark.parametrize(
+    ("share", "verdict"), [(0.45, "effect_missing"), (0.55, "unknown_structure")]
+)
+def test_beside_random_forces_of_half_the_machine_s_own_no_name_is_given(share, verdict):
+    """Half the error is gone; but what moves the machine is mostly what nobody knows."""
+    pushed = replace(GOOD, random={"force.hidden": share}, disturbed=0.3, test_error=0.3)
+    given, words, _ = said(rounds(pushed))
+    assert given == verdict
+    assert ("explains little of it" in words) == (share > 0.5)
+
+
 def ahead(error):
     """An error some time ahead, the same in every block."""
     return Horizon("ahead", 5, 0.5, {"x": (error**2,) * 5})

@@ -18,17 +18,24 @@ import numpy as np
 
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.resting import state_jacobian
+from spiral.types.effect import InputEffect, SensorEffect
+from spiral.types.label import owner_of
 from spiral.types.record import Array
 
 OBSERVED, HIDDEN = "observed", "hidden"
 
 
 def noise_groups(task: FilterInput) -> dict[str, tuple[int, ...]]:
-    """States driven by noise, by group: those beside a measured channel, and all others."""
+    """States driven by noise, by group: those beside a measured channel, and all others.
+
+    States of a sensor or an actuator that is slow or late are no part of the machine on which
+    forces act; what they show is noise of the reading, or of the input.
+    """
     names, traced = task.states, task.compiled.traced
+    chain = {e.label for e in task.model.effects if isinstance(e, SensorEffect | InputEffect)}
     members: dict[str, list[int]] = {OBSERVED: [], HIDDEN: []}
     for i, name in enumerate(names):
-        if traced.rate_name(name) in names:
+        if traced.rate_name(name) in names or owner_of(name) in chain:
             continue
         base = traced.base_name(name)
         members[HIDDEN if traced.measured_or_read.isdisjoint((base, name)) else OBSERVED].append(i)

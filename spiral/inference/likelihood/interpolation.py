@@ -24,7 +24,7 @@ from spiral.inference.likelihood.fitting import (
     prepare_filter_tasks,
 )
 from spiral.inference.problem import DECISIVE_ODDS, Problem, Progress
-from spiral.types.parameter import Input, Interpolation
+from spiral.types.parameter import HELD, Input, Interpolation
 
 Ways = Mapping[str, Interpolation]
 
@@ -58,9 +58,8 @@ def restore_declared_interpolation(
         if known.name not in fit.state.between:
             continue
         progress(_progress_message((known,)))
-        state = replace(
-            fit.state, between=_replace_interpolation(fit, (known,), known.interpolation)
-        )
+        ways = _replace_interpolation(fit, (known,), _own_way(assembly.problem, known))
+        state = replace(fit.state, between=ways)
         least = fit.log_likelihood - float(np.log(DECISIVE_ODDS))
         own = fit_by_likelihood(assembly, state, rough=True, least=least)
         fit = own if own.log_likelihood > least else fit
@@ -75,7 +74,8 @@ def fit_with_other_interpolations(
     ``least`` : log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
-    for some, ways in _other_interpolations(fit, _undeclared_input_groups(assembly.problem)):
+    problem = assembly.problem
+    for some, ways in _other_interpolations(problem, fit, _undeclared_input_groups(problem)):
         progress(_progress_message(some))
         other = replace(state, between=ways)
         fits.append(fit_by_likelihood(assembly, other, rough=True, least=least))
@@ -102,7 +102,7 @@ def likelier_interpolation_fit(
 
 
 def _undeclared_input_groups(problem: Problem) -> list[tuple[Input, ...]]:
-    """Inputs whose interpolation no record declares and that are not derived: each, then all.
+    """Inputs whose interpolation is open (``_is_interpolation_open``): each, then all.
 
     Inputs from one controller share one interpolation; with the others still wrong, changing one
     alone may look no better.
@@ -121,7 +121,8 @@ def _refit_interpolations(
     ``least`` is the log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
-    for some, ways in _other_interpolations(fit, groups) if fit.estimate.finite else ():
+    others = _other_interpolations(assembly.problem, fit, groups)
+    for some, ways in others if fit.estimate.finite else ():
         state = replace(fit.state, between=ways)
         if _may_be_likelier(assembly, fit, state, masks):
             progress(_progress_message(some))
@@ -130,7 +131,7 @@ def _refit_interpolations(
 
 
 def _other_interpolations(
-    fit: LikelihoodFit, groups: Sequence[tuple[Input, ...]]
+    problem: Problem, fit: LikelihoodFit, groups: Sequence[tuple[Input, ...]]
 ) -> Iterator[tuple[tuple[Input, ...], Ways]]:
     """Each group with the fit's interpolations, the group's set to each that some have not.
 
@@ -139,8 +140,13 @@ def _other_interpolations(
     seen: list[Ways] = []
     for some in groups:
         for way in get_args(Interpolation):
+            if not all(_may_run(problem, fit, known, way) for known in some):
+                continue
             ways = _replace_interpolation(fit, some, way)
-            if any(way != _current_interpolation(fit, k) for k in some) and ways not in seen:
+            if (
+                any(way != _current_interpolation(problem, fit, k) for k in some)
+                and ways not in seen
+            ):
                 seen.append(ways)
                 yield some, ways
 
@@ -150,12 +156,29 @@ def _progress_message(some: tuple[Input, ...]) -> str:
 
 
 def _is_interpolation_open(problem: Problem, known: Input) -> bool:
-    declared = any(known.name in r.hold for r in (*problem.records, *problem.test))
-    return not (declared or known.derivative or known.derived_from)
+    """Whether an input may run another way: of one that is held, how late it acts."""
+    closed = _declared_ways(problem, known) - {"zero_order"}
+    return not (closed or known.derivative or known.derived_from)
 
 
-def _current_interpolation(fit: LikelihoodFit, known: Input) -> Interpolation:
-    return fit.state.between.get(known.name, known.interpolation)
+def _declared_ways(problem: Problem, known: Input) -> set[Interpolation]:
+    return {r.hold[known.name] for r in (*problem.records, *problem.test) if known.name in r.hold}
+
+
+def _may_run(problem: Problem, fit: LikelihoodFit, known: Input, way: Interpolation) -> bool:
+    """Whether an input may run this way: late only if held, and held if a record declares it."""
+    if _declared_ways(problem, known):
+        return way in HELD
+    return not HELD.get(way) or _current_interpolation(problem, fit, known) in HELD
+
+
+def _current_interpolation(problem: Problem, fit: LikelihoodFit, known: Input) -> Interpolation:
+    return fit.state.between.get(known.name, _own_way(problem, known))
+
+
+def _own_way(problem: Problem, known: Input) -> Interpolation:
+    """The interpolation that a record declares, else the system's."""
+    return min(_declared_ways(problem, known), default=known.interpolation)
 
 
 def _replace_interpolation(fit: LikelihoodFit, some: tuple[Input, ...], way: Interpolation) -> Ways:
