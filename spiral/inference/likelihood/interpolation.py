@@ -140,7 +140,7 @@ def _other_interpolations(
     seen: list[Ways] = []
     for some in groups:
         for way in get_args(Interpolation):
-            if not all(_may_run(problem, fit, known, way) for known in some):
+            if not all(_may_run(problem, known, way) for known in some):
                 continue
             ways = _replace_interpolation(fit, some, way)
             if (
@@ -165,11 +165,9 @@ def _declared_ways(problem: Problem, known: Input) -> set[Interpolation]:
     return {r.hold[known.name] for r in (*problem.records, *problem.test) if known.name in r.hold}
 
 
-def _may_run(problem: Problem, fit: LikelihoodFit, known: Input, way: Interpolation) -> bool:
-    """Whether an input may run this way: late only if held, and held if a record declares it."""
-    if _declared_ways(problem, known):
-        return way in HELD
-    return not HELD.get(way) or _current_interpolation(problem, fit, known) in HELD
+def _may_run(problem: Problem, known: Input, way: Interpolation) -> bool:
+    """Whether an input may run this way: one that a record declares to be held only so."""
+    return way in HELD or not _declared_ways(problem, known)
 
 
 def _current_interpolation(problem: Problem, fit: LikelihoodFit, known: Input) -> Interpolation:
