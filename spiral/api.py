@@ -379,9 +379,10 @@ def _reject_unknown_choices(
     choices: Mapping[str, Any], what: str, known: Sequence[str] = ("plugins", "progress")
 ) -> None:
     for name in choices:
-        raise ConfigError(
-            f"{name}= of {what}", f"one of {', '.join(known)}", did_you_mean(name, known)
-        )
+        hint = did_you_mean(name, known)
+        if name == "seed" and "effects" in known:  # what the command line calls them
+            hint = "effects=[...] begins with these effects"
+        raise ConfigError(f"{name}= of {what}", f"one of {', '.join(known)}", hint)
 
 
 def _registry(given: Plugins) -> Registry:

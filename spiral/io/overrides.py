@@ -187,6 +187,8 @@ def _unknown_key_error(item: Assignment, here: str, known: tuple[str, ...]) -> C
     what = f"a field of {here}" if here else "a key of the configuration"
     expected = f"{what}: {', '.join(names)}" if names else f"nothing here: {here} has no fields"
     hint = did_you_mean(word, names)
+    if not here and word == "effects":  # what Python calls them
+        hint = "seed=[NAME, ...] begins with these effects"
     if here in ("system", "effect"):
         hint += f"; the first value of a parameter is values.{'.'.join(item.path)}={item.value}"
     return ConfigError(f"{'.'.join(item.path)!r}", expected, hint)

@@ -32,7 +32,8 @@ class Summary:
             [_MARKUP.sub(r"\\\g<0>", row[i]) for i in self._nonempty_columns()] for row in rows
         )
         table = "\n".join(f"| {' | '.join(row)} |" for row in cells)
-        return "\n\n".join(part for part in (self.opening, table, self.closing) if part)
+        closing = self.closing.replace("\n", "  \n")  # a line's end is one there, too
+        return "\n\n".join(part for part in (self.opening, table, closing) if part)
 
     def _nonempty_columns(self) -> list[int]:
         """Indices of the columns that are not empty in every row."""

@@ -134,8 +134,12 @@ class Comparison(Readable):
             f"Comparison of {self.model.name}",
             ("fit error", "test error", "noise floor", "chi2/dof"),
             ((*map(percent, errors), number(self.chi2_per_dof)),),
-            "; ".join((*self.notes, *self.departures, *self.contradictions)),
+            "\n".join((repr(self.model), *self.notes, *self.departures, *self.contradictions)),
         )  # fmt: skip
+
+    def estimates(self) -> Any:
+        """The model's parameters as a pandas table: estimate, se, t, unit."""
+        return _estimate_table({"model": estimates_dict(self.model)})
 
     def as_dict(self) -> dict[str, Any]:
         """As plain data, as ``--json`` writes it."""
@@ -386,10 +390,7 @@ class Run:
 
     def estimates(self) -> Any:
         """The final model's parameters as a pandas table: estimate, se, t, unit."""
-        import pandas as pd
-
-        table = pd.DataFrame(estimate_rows(self.as_dict()))
-        return table.set_index(["effect", "parameter"]) if len(table) else table
+        return _estimate_table(self.as_dict())
 
     @property
     def final(self) -> Comparison:
@@ -440,6 +441,14 @@ def require_run(given: object) -> Run:
             "run = spiral.discover(record, system)",
         )  # fmt: skip
     return given
+
+
+def _estimate_table(result: Mapping[str, Any]) -> Any:
+    """``estimate_rows`` as a pandas table by effect and parameter."""
+    import pandas as pd
+
+    table = pd.DataFrame(estimate_rows(result))
+    return table.set_index(["effect", "parameter"]) if len(table) else table
 
 
 def estimate_rows(result: Mapping[str, Any]) -> list[dict[str, Any]]:

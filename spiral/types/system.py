@@ -38,6 +38,11 @@ class System(Plugin):
         """What the system is, in a few words; the plugin's name where none are given."""
         return self.plugin_name()
 
+    @property
+    def report(self) -> str:
+        """What is known of its own error (a structure that was reduced), as a note; else empty."""
+        return ""
+
     def __str__(self) -> str:
         return self._shown().text()
 

@@ -168,7 +168,8 @@ def _note_fields(
     ``free`` is the fit whose values are shown, in place of ``fit`` where it predicts far better;
     ``told`` what else contradicts the noise.
     """
-    said = (*(n for r in problem.records for n in r.remarks), *input_sentences(state.between))
+    about = (model.system.report, *(n for r in problem.records for n in r.remarks))
+    said = (*filter(None, about), *input_sentences(state.between))
     given = problem.model.given_values
     return {
         "notes": said if free is fit else (*said, FREE_RUN_VALUES_NOTE),
