@@ -7,9 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from spiral_plugins.strategies.likelihood import Likelihood
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
+from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
-from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants
+from spiral.inference.evidence.enlarge import study_with, transfer_fit_state, with_variants
 from spiral.inference.likelihood.candidates import second_basin_candidates
 from spiral.inference.problem import Problem, silent
 from spiral.inference.simulate import simulate
@@ -163,3 +164,26 @@ def test_curves_are_raced_among_themselves():
     )  # what was admitted is no longer offered, and stays
     assert [v.label for v in narrow.variants] == [overflow.label]
     assert left.values.shape[1] == len(narrow.study.keys)
+
+
+def test_a_study_of_some_effects_has_no_others():
+    """A state of one effect, in a study that has another that was let go (a car steered by wire)."""
+    values = {
+        "system.mass": 1.0,
+        "linear_stiffness.stiffness": 400.0,
+        "linear_damping.damping": 2.0,
+    }
+    model = seed_model(Oscillator(), values=values)
+    force = {"force": np.sin(20 * np.arange(400) / 100)}
+    record = simulate(model, np.arange(400) / 100, force, 0.02, np.random.default_rng(0))
+    wanted = ("cubic_stiffness", "quadratic_damping")
+    problem = Problem(
+        model, (record,), (), candidates=tuple(map(effect, wanted)), strategy=Likelihood()
+    )
+    begun = Likelihood().begin(problem, silent)
+    offered = {v.original.label: v for v in begun.assembly.offered}
+    first, second = (offered[name] for name in wanted)
+    both = with_variants(begun.assembly, [first])
+    own = with_variants(begun.assembly, [second])
+    state = transfer_fit_state(begun.fit_state, begun.assembly, own)
+    assert study_with(both, (*state.labels, second.label)).study.keys == own.study.keys

@@ -89,6 +89,15 @@ def without_variants(assembly: Assembly) -> Assembly:
     return replace(assembly, study=study, variants=())
 
 
+def study_with(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
+    """A study compiled with these effects beside its seed and no others, in their order.
+
+    What ``assembly`` has beside them (an effect that was let go since) is left out.
+    """
+    own = without_variants(assembly) if assembly.bare else assembly
+    return enlarge(own, labels)
+
+
 def own_state_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Variant, ...]:
     """Variants of effects with own states among these labels, their shapes still without values."""
     later = {e.label: e for e in assembly.later}

@@ -10,7 +10,7 @@ import numpy as np
 
 from spiral.engine.statistics import round_level
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.enlarge import enlarge
+from spiral.inference.evidence.enlarge import study_with
 from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import Ranking
 from spiral.inference.likelihood.alternative_fits import (
@@ -195,14 +195,13 @@ def _find_second_effect(
     """A second candidate that passes together with a likely one that is of no use alone.
 
     A softening spring whose sensor is off by a constant is wrong without either. Together they must
-    do to what is predicted what one alone has to. Nothing where none passes. The study begins with
-    no more than its seed: ``first`` may have let go what was admitted before. ``on_excerpt`` : it
-    is looked for on an excerpt, as the first was.
+    do to what is predicted what one alone has to. Nothing where none passes. ``on_excerpt`` : it is
+    looked for on an excerpt, as the first was.
     """
     options, progress = asked.options, asked.progress
     progress(f"trying a second effect beside {first.rival.label}")
     state = first.whole.refitted.fit_state
-    assembly = enlarge(asked.bare, state.labels)
+    assembly = study_with(asked.bare, state.labels)
     if on_excerpt:
         assembly, state = excerpt_study(assembly, state) or (assembly, state)
     masks = half_masks(assembly)
