@@ -167,7 +167,7 @@ def test_curves_are_raced_among_themselves():
 
 
 def test_a_study_of_some_effects_has_no_others():
-    """A state of one effect, in a study that has another that was let go (a car steered by wire)."""
+    """A state of one effect, asked of a study that has another, which was let go."""
     values = {
         "system.mass": 1.0,
         "linear_stiffness.stiffness": 400.0,
