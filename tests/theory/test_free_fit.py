@@ -76,7 +76,7 @@ def test_where_friction_is_missing_a_run_is_predicted_better():
     assert FREE_RUN_VALUES_NOTE in told.notes
     assert FREE_RUN_VALUES_NOTE not in stepwise.notes
     assert "the force beside the model is not random" in told.contradictions[0]
-    assert any("is most likely" in s for s in shortfalls(told, Settings()))
+    assert any("where the next sample is predicted best" in s for s in shortfalls(told, Settings()))
     (said,) = stepwise.contradictions  # a force that follows the motion is none of chance
     assert said.startswith("the random force on x is no chance")
     assert told.random == stepwise.random  # what is at random is told beside the likeliest values

@@ -78,6 +78,7 @@ def test_slow_noise_counts_by_how_far_it_goes_over_the_record():
     )
     found = maximise_likelihood(((task, settings),), (), noise, steps=3)
     assert found.noise.values[term.size] > spread
+    assert ReportedNoise(found).sensor_deviation("x") < 0.5 * spread
     shares, _ = ReportedNoise(found).sizes(0.0, 1.0)
     assert shares.get(term.size, 0.0) < 0.5  # beyond that a sensor shows mostly noise
 

@@ -101,7 +101,8 @@ def compare_by_likelihood(
     carried = _free_run_uncertainty(
         other or assembly, model, run, starts, free.estimate, estimate.noise
     )
-    floor = _relative_noise_floor(estimate, names, run, other or assembly)
+    reported = ReportedNoise(estimate)
+    floor = _relative_noise_floor(reported, names, run, other or assembly)
     told = followed_force_sentences(fit) if carried.forces > floor else ()
     return state, Comparison(
         model=model,
@@ -114,18 +115,17 @@ def compare_by_likelihood(
         **_note_fields(problem, state, model, fit, free, told),
         noise_ratio=_declared_noise_ratio(problem.records, state.noise),
         **seen,
-        **_noise_and_residual_fields(assembly, fit, model, carried, run, floor),
+        **_noise_and_residual_fields(assembly, fit, model, reported, carried, run, floor),
         uncertain=0.0 if other is None else carried.doubts,
         traces=Traces(own.predicted, tested, run.settled[0], innovations(fit)),
     )
 
 
 def _noise_and_residual_fields(
-    assembly: Assembly, fit: LikelihoodFit, model: Model, carried: _FreeRunTolerance, run: FreeRun,
-    floor: float,
+    assembly: Assembly, fit: LikelihoodFit, model: Model, reported: ReportedNoise,
+    carried: _FreeRunTolerance, run: FreeRun, floor: float,
 ) -> dict[str, Any]:  # fmt: skip
     """Fields of the comparison: noise sizes, residual statistics, departures from the model."""
-    reported = ReportedNoise(fit.estimate)
     sizes, times = reported.sizes(carried.forces, floor)
     left, white = _residual_statistics(assembly, fit)
     return {
@@ -328,7 +328,7 @@ def _error_correlation(estimate: MaximumLikelihood, names: tuple[str, ...]) -> A
 
 
 def _relative_noise_floor(
-    estimate: MaximumLikelihood, names: Sequence[str], run: FreeRun, judging: Assembly
+    reported: ReportedNoise, names: Sequence[str], run: FreeRun, judging: Assembly
 ) -> float:
     """Measurement noise over the deviation of each channel, mean over channels.
 
@@ -337,10 +337,10 @@ def _relative_noise_floor(
     what it would tell of the fitted noise, so that it is reliable. Noise that grows with its
     reading is as large as the readings of the test records make it.
     """
-    noise, task = estimate.noise, estimate.prepared[0][0]
+    noise, task = reported.estimate.noise, reported.estimate.prepared[0][0]
     sizes, problem = [], judging.problem
     for j, name in enumerate(names):
-        fitted = sum(noise.values.get(f"{kind}.{name}", 0.0) ** 2 for kind in _SENSORS)
+        fitted = reported.sensor_deviation(name)
         grown = [
             s.grown[first:, j].mean()
             for s, first in zip(judging.study.series, run.settled, strict=True)
@@ -348,10 +348,10 @@ def _relative_noise_floor(
         ]
         if grown:
             white = noise.values.get(f"white.{name}", 0.0) ** 2
-            sizes.append(np.sqrt(fitted + white * (np.mean(grown) - 1)))
+            sizes.append(np.sqrt(fitted**2 + white * (np.mean(grown) - 1)))
             continue
         told = expected_noise_estimate(sensor_autocovariance(task, noise, name, NOISE_LAGS))
-        sizes.append(np.sqrt(fitted) * _noisier_in_test(problem, name, told))
+        sizes.append(fitted * _noisier_in_test(problem, name, told))
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.mean(np.array(sizes) / run.deviations()))
 

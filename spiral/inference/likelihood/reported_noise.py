@@ -44,7 +44,7 @@ class ReportedNoise:
         (``disturbed``), as such and beside what sensors' noise makes of it (``floor``).
         """
         noise, spread, length = self.estimate.noise, self._spreads, _seconds(self.estimate)
-        sizes, times, gone = {}, {}, self._excursions()
+        sizes, times, gone = {}, {}, self.excursions
         for term in (t for t in noise.terms if _is_determined(self.estimate, t)):
             size = noise.values[term.size]
             if term.kind == "drift":
@@ -59,6 +59,12 @@ class ReportedNoise:
                 if term.time:
                     times[term.size] = float(noise.values[term.time])
         return sizes, times
+
+    def sensor_deviation(self, channel: str) -> float:
+        """Deviation of a sensor's noise: white, coloured, and slow noise as far as it goes."""
+        sizes = [f"{kind}.{channel}" for kind in ("white", *COLOURED)]
+        known, gone = self.estimate.noise.values, self.excursions
+        return float(np.hypot.reduce([min(known.get(s, 0.0), gone.get(s, np.inf)) for s in sizes]))
 
     def error_in_free_run(self, run: FreeRun) -> float:
         """Error of the test's free run by slow noise of sensors, rms over channels.
@@ -109,7 +115,8 @@ class ReportedNoise:
         told = {s: t for s, t in slow.items() if _is_determined(self.estimate, t)}
         return [(told[s], z) for s, z in self._courses.items() if s in told]
 
-    def _excursions(self) -> dict[str, float]:
+    @cached_property
+    def excursions(self) -> dict[str, float]:
         """How far slow noise of a sensor goes, by the name of its size.
 
         A drift from where it was at first: one that drifts steadily goes further than one that
