@@ -99,7 +99,7 @@ def suggest_even_steps(steps: Array, mean: float) -> str:
 def _shortest_rate(steps: Array, mean: float) -> str:
     """The rate in Hz with the fewest digits that the scatter of the stamps allows."""
     late = np.cumsum(steps - mean)
-    texts = [f"{1 / mean:.{digits}g}" for digits in range(2, 7)]
+    texts = [f"{float(f'{1 / mean:.{digits}g}'):.10g}" for digits in range(2, 7)]
     run = len(steps) * mean
     near = [text for text in texts if abs(float(text) * mean - 1) * run <= np.ptp(late)]
     return near[0] if near else texts[-1]

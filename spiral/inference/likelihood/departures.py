@@ -182,7 +182,11 @@ def _drift_remark(estimate: MaximumLikelihood) -> tuple[str, ...]:
     share, error = change / abs(values[best]), change / abs(values[best]) / abs(ratio)
     beside = f" (or {', '.join(map(without_variant, alike))})" if alike else ""
     much = abs(share) > 1  # a zero that wanders, say: its value is no measure of how far
-    size = "more than itself" if much else f"{plus_minus(100 * share, 100 * abs(error))} %"
+    size = (
+        "more than itself"
+        if much
+        else f"{'+' * (share > 0)}{plus_minus(100 * share, 100 * abs(error))} %"
+    )
     return (
         f"as if {without_variant(best)}{beside} changed by {size} over the record: with time, "
         "or with something else that changes, such as temperature, wear, speed or amplitude",

@@ -176,7 +176,8 @@ def _current_interpolation(problem: Problem, fit: LikelihoodFit, known: Input) -
 
 def _own_way(problem: Problem, known: Input) -> Interpolation:
     """The interpolation that a record declares, else the system's."""
-    return min(_declared_ways(problem, known), default=known.interpolation)
+    declared = _declared_ways(problem, known)
+    return min(declared) if declared else known.interpolation
 
 
 def _replace_interpolation(fit: LikelihoodFit, some: tuple[Input, ...], way: Interpolation) -> Ways:

@@ -24,6 +24,7 @@ from spiral.io.export.program import (
 )
 from spiral.io.writing import fill_template
 from spiral.types.noise import estimate_noise
+from spiral.types.parameter import HELD
 
 _RESERVED = (*keyword.kwlist, "t", "x", "u", "p", "np", "found", "by_x", "by_p")
 
@@ -109,6 +110,7 @@ def python(program: Program) -> str:
         output=_value_lines(program, program.output),
         rhs_slopes=_jacobian_lines(program, program.rate_x, program.rate_p),
         output_slopes=_jacobian_lines(program, program.output_x, program.output_p),
+        held=repr(HELD),
         knots=str(series.SPEED_RATE_KNOTS),
         interpolation="\n\n".join(inspect.getsource(f) for f in between).rstrip(),
     )
