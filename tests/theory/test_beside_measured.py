@@ -1,10 +1,13 @@
 """Free runs begin hidden states where the fitted records show them beside the measured ones."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import spiral
+from spiral.inference.likelihood import free_run_starts
 from spiral.inference.likelihood.free_run_starts import UsualStates
 from spiral.types.record import make_record
 
@@ -62,3 +65,14 @@ def test_hidden_states_are_the_conditional_mean(share):
     slopes[1, 0] = share * 3.0
     usual = UsualStates(np.array([1.0, 10.0]), slopes, hidden)
     np.testing.assert_allclose(usual.beside(np.array([3.0, 0.0])), [3.0, 10.0 + share * 6.0])
+
+
+def test_a_measured_state_that_does_not_move_tells_of_no_hidden_one(monkeypatch):
+    """A pressure of some bar that stays as it is, beside one that nobody sees."""
+    hidden = 3e5 + 1e5 * np.sin(np.arange(100.0))
+    run = SimpleNamespace(whole=True, means=np.column_stack([np.full(100, 2e5), hidden]))
+    monkeypatch.setattr(free_run_starts, "predict_readings", lambda *_, **__: run)
+    traced = SimpleNamespace(channels=("p",))
+    task = SimpleNamespace(states=("p", "q"), compiled=SimpleNamespace(traced=traced))
+    usual = free_run_starts.usual_states(SimpleNamespace(prepared=[(task, None)], noise=None))
+    np.testing.assert_allclose(usual.beside(np.array([5e5, 0.0])), [5e5, hidden.mean()])

@@ -113,7 +113,8 @@ def usual_states(estimate: MaximumLikelihood) -> UsualStates | None:
     states = run.means[:, : len(task.states)]
     hidden = np.array([n not in task.compiled.traced.channels for n in task.states])
     means, slopes = states.mean(axis=0), np.zeros((len(hidden), len(hidden)))
-    spread = np.maximum(states.std(axis=0), np.finfo(float).tiny)
+    spread = states.std(axis=0)
+    spread[spread == 0.0] = 1.0  # a state that does not move tells of no other
     apart = (states - means) / spread
     if hidden.any() and not hidden.all():
         told = np.linalg.lstsq(apart[:, ~hidden], apart[:, hidden], rcond=_ALIKE)[0].T
