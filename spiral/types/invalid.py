@@ -113,7 +113,8 @@ def spoilt_readings(
     spoilt: list[InvalidReadings] = []
     same = np.diff(values) == 0
     runs = _long_run_mask(same)
-    least = _STEPS * reading_step(values)  # by which it leaves a value that is not its own
+    step = reading_step(values) if same.any() else 0.0  # asked of nothing else
+    least = _STEPS * step  # by which it leaves a value that is not its own
     clipped = _clipped_mask(values, least)  # which repeats its extreme, and nothing else
     repeats = same & ~runs & ~clipped[1:]
     by_chance = len(values) * float(np.mean(repeats)) ** _RUN  # runs where repeats are independent

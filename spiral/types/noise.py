@@ -17,6 +17,9 @@ Kind = Literal["white", "coloured", "band", "vibration", "drift", "force", "gust
 COLOURED: tuple[Kind, ...] = ("coloured", "band", "vibration")
 """Kinds of stationary sensor noise that are not white."""
 
+STATIONARY: tuple[Kind, ...] = ("white", *COLOURED)
+"""Noise that a sensor has all the time."""
+
 FORCES: tuple[Kind, ...] = ("force", "gust", "swell")
 """Kinds of random forces: white, correlated over a time, around a frequency."""
 

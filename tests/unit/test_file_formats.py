@@ -183,7 +183,7 @@ def test_any_bytes_are_one_clear_message(name, content, keep):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_damaged_matlab_file_is_refused_and_ends_no_process(tmp_path, seed):
-    """Single bytes changed anywhere; SciPy alone crashes on one in some hundred of these."""
+    """Single bytes changed anywhere; SciPy alone crashes on some of these."""
     rng = np.random.default_rng(seed)
     mat5(tmp_path / "a.mat")
     whole, path = (tmp_path / "a.mat").read_bytes(), tmp_path / "b.mat"

@@ -90,12 +90,13 @@ def without_variants(assembly: Assembly) -> Assembly:
 
 
 def study_with(assembly: Assembly, labels: tuple[str, ...]) -> Assembly:
-    """A study compiled with these effects beside its seed and no others, in their order.
+    """A bare study compiled with these effects beside its seed and no others, in their order.
 
     What ``assembly`` has beside them (an effect that was let go since) is left out.
     """
-    own = without_variants(assembly) if assembly.bare else assembly
-    return enlarge(own, labels)
+    known, seed = {v.label: v for v in assembly.variants}, assembly.problem.model.labels
+    wanted = [known.get(x) or _find_variant(assembly, x) for x in labels if x not in seed]
+    return with_variants(without_variants(assembly), wanted)
 
 
 def own_state_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Variant, ...]:

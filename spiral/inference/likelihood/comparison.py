@@ -65,14 +65,13 @@ from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model, correlations_by_name
-from spiral.types.noise import COLOURED, NOISE_LAGS, estimate_noise, expected_noise_estimate
+from spiral.types.noise import NOISE_LAGS, STATIONARY, estimate_noise, expected_noise_estimate
 from spiral.types.record import Array, Record
 from spiral.types.run import Comparison, Traces
 
 _PERIODS = 3  # of the slowest mode that tell where a record begins
 _STILL = 1e-6  # share of the fastest rate under which a mode does not move
 _AGREE = 1.25  # ratio within which two estimates of the noise agree
-_SENSORS = ("white", *COLOURED)  # noise that a sensor has all the time
 
 
 def compare_by_likelihood(
@@ -400,7 +399,7 @@ def _innovation_share(estimate: MaximumLikelihood) -> float:
     shares = []
     for j, name in enumerate(task.compiled.traced.channels):
         misses = np.concatenate([p.misses[:, j] for p in estimate.predictions])
-        size = sum(noise.values.get(f"{k}.{name}", 0.0) ** 2 for k in _SENSORS)
+        size = sum(noise.values.get(f"{k}.{name}", 0.0) ** 2 for k in STATIONARY)
         shares.append(float(np.mean(misses**2)) / size if size > 0 else 1.0)
     return min(_mean(shares), 1.0)
 

@@ -20,7 +20,7 @@ from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, state_offsets
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.inference.evidence.free_run import FreeRun
 from spiral.types.formatting import number, percent
-from spiral.types.noise import COLOURED, FORCES
+from spiral.types.noise import COLOURED, FORCES, STATIONARY
 from spiral.types.record import Array
 from spiral.types.system import System
 
@@ -62,7 +62,7 @@ class ReportedNoise:
 
     def sensor_deviation(self, channel: str) -> float:
         """Deviation of a sensor's noise: white, coloured, and slow noise as far as it goes."""
-        sizes = [f"{kind}.{channel}" for kind in ("white", *COLOURED)]
+        sizes = [f"{kind}.{channel}" for kind in STATIONARY]
         known, gone = self.estimate.noise.values, self.excursions
         return float(np.hypot.reduce([min(known.get(s, 0.0), gone.get(s, np.inf)) for s in sizes]))
 

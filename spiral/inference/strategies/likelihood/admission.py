@@ -20,7 +20,7 @@ from spiral.engine.likelihood.fit import add_standard_errors
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.predict import FilterInputs, Masks
 from spiral.inference.evidence.assembly import Assembly, build_variants
-from spiral.inference.evidence.enlarge import transfer_fit_state, with_variants, without_variants
+from spiral.inference.evidence.enlarge import study_with, transfer_fit_state
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import Parts, Ranking, active_labels
 from spiral.inference.likelihood.alias_groups import (
@@ -315,9 +315,7 @@ def _drop_unused_variants(own: Assembly, state: FitState) -> tuple[Assembly, Fit
     """The study compiled with the effects of a fit state alone, and the state in its order."""
     if all(v.label in state.labels for v in own.variants):
         return own, state
-    seed = own.problem.model.labels
-    held = [own.variant(x) for x in state.labels if x not in seed]
-    final = with_variants(without_variants(own), held)
+    final = study_with(own, state.labels)
     return final, transfer_fit_state(state, own, final)
 
 
