@@ -51,7 +51,7 @@ from spiral.types.system import has_coordinates
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
 _SMALL_PART = 0.25  # of the error that is left: a sixteenth of its square
-_MOST_AT_RANDOM = 0.5  # of the machine's own forces: then they are a fifth of what moves it
+_MOST_AT_RANDOM = 0.5  # of the machine's own forces, and of its motion
 
 _VERDICTS = {
     "effect_missing": "An effect is missing.",
@@ -132,12 +132,13 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
     on unseen data, where it is not carried away. What forces make of it no effect can take away,
     and errors of several causes add up in squares: beside them little is what is less than
     ``_SMALL_PART`` of the error that is left, also some time ahead. Beside random forces of more
-    than ``_MOST_AT_RANDOM`` of the machine's own, too, what moves the machine is not known.
+    than ``_MOST_AT_RANDOM`` of the machine's own that make as much of a free run, what moves it is
+    not known. Of a state that follows at once the rate is small, and a small force much beside it.
     """
     first, last = rounds[0].comparison, rounds[-1].comparison
     if len(rounds) < 2:
         return False
-    if max(random_forces(last).values(), default=0.0) > _MOST_AT_RANDOM:
+    if min(max(random_forces(last).values(), default=0.0), last.disturbed) > _MOST_AT_RANDOM:
         return True
     if is_free_run_carried_away(last):
         return False

@@ -9,7 +9,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
 from spiral.engine.filter.setup import prepare_filter
-from spiral.engine.filter.task import prepare_task
+from spiral.engine.filter.task import prepare_task, run_from
 from spiral.engine.likelihood.noise import first_noise
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.inference.likelihood.independence import (
@@ -93,3 +93,42 @@ def test_a_random_force_beside_an_anti_alias_filter_is_nothing_missing():
     run = spiral.discover(_record(3), Oscillator(), test=_record(4), candidates=candidates)
     assert (run.verdict, run.missing) == ("nothing_missing", ())
     assert run.rounds[-1].comparison.followed < 0.01
+
+
+def _told_by(motion, y, task, settings, size):
+    """The largest share of the misses' energy that their past leaves and the motion explains."""
+    part = predict_readings(task, settings, first_noise(task, 0.1, np.array([size * y.std()])))
+    miss, past, moved = _regression_rows(task, part, motion)
+    return _channel_explained_share(miss[:, 0], past, moved)
+
+
+def test_noise_of_a_steep_band_follows_no_free_run():
+    """The filter's own predictions have its past in them, and tell of it what 20 misses do not.
+
+    A cubic force a fiftieth as large as the motion, beside white noise as large, is told.
+    """
+    values = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e2, "linear_damping.damping": 2.0}
+    model, told = seed_model(Oscillator(), values=values), []
+    for seed in range(6):
+        rng, time = np.random.default_rng(seed), np.arange(N) / RATE
+        u = sosfilt(butter(4, [0.5, 8.0], "band", fs=RATE, output="sos"), 30 * rng.normal(size=N))
+        still = make_record(Oscillator(), "r", time, {"x": u}, {"force": u})
+        task, settings = prepare_filter(prepare_task(model, still, substeps=2, every=True), ())
+        free = run_from(task, np.zeros(2))[:, :1]
+        spectrum = np.fft.rfft(rng.normal(size=N))
+        spectrum[N // 8 :] = 0.0  # to an eighth of the rate, nothing beyond
+        noise, bent = np.fft.irfft(spectrum, N), free[:, 0] ** 3
+        rows = []
+        for y, motion, size in (
+            (0.2 * noise / noise.std(), free, 0.2),
+            (0.2 * noise / noise.std(), None, 0.2),
+            (0.02 * (rng.normal(size=N) + bent / bent.std()), free, 0.02),
+        ):
+            y = free[:, 0] + free.std() * y
+            read = replace(task, series=replace(task.series, y=y[:, None].copy()))
+            rows.append(_told_by(motion, y, read, settings, size))
+        told.append(rows)
+    band, by_filter, law = np.mean(told, axis=0)
+    assert band < 0.01
+    assert by_filter > 3 * band
+    assert law > 0.05

@@ -326,19 +326,20 @@ def test_a_value_that_was_held_is_free_once_an_effect_tells_it(valve):
         assert one.estimate == pytest.approx(true, abs=3 * one.se)
 
 
-def test_no_random_force_acts_on_what_delays_a_signal():
-    """The states of a late actuator and of a slow sensor are none of the machine."""
+def test_no_random_force_acts_on_states_of_an_effect():
+    """Of a late actuator, a slow sensor, a hysteresis; whatever the study calls its copy of it."""
     from spiral.io.registry import load_registry
 
-    late = [load_registry(local=False).make("effect", n) for n in ("input_delay", "sensor_lag")]
-    record = recorded("zero_order", 400)
-    own = seed_model(Oscillator(), values=TRUTH)
-    times = {"input_delay.time": 0.01, "sensor_lag.time": 0.01}
-    both = seed_model(Oscillator(), tuple(late), values={**TRUTH, **times})
-    groups = [
-        {w: tuple(task.states[i] for i in at) for w, at in noise_groups(task).items()}
-        for model in (own, both)
-        for task in [build_task(model, compile_model(trace(model.system, model.effects)),
-                                model.row("", ""), record)]
-    ]  # fmt: skip
-    assert groups[0] == groups[1]
+    registry = load_registry(local=False)
+    names = ("input_delay", "sensor_lag", "bouc_wen", "hidden_mode")
+    effects = tuple(registry.make("effect", n) for n in names)
+    model, record = seed_model(Oscillator(), values=TRUTH), recorded("zero_order", 400)
+    groups = []
+    for more in ((), effects, tuple(replace(e, variant="1") for e in effects)):
+        compiled = compile_model(trace(model.system, (*model.effects, *more)))
+        values = np.array([model.values.get(k, 0.1) for k in compiled.traced.keys])
+        task = build_task(model, compiled, values, record)
+        groups.append(
+            {w: tuple(task.states[i] for i in at) for w, at in noise_groups(task).items()}
+        )
+    assert groups[0] == groups[1] == groups[2]

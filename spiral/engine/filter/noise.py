@@ -18,8 +18,7 @@ import numpy as np
 
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.resting import state_jacobian
-from spiral.types.effect import InputEffect, SensorEffect
-from spiral.types.label import owner_of
+from spiral.types.label import parameter_of
 from spiral.types.record import Array
 
 OBSERVED, HIDDEN = "observed", "hidden"
@@ -28,14 +27,14 @@ OBSERVED, HIDDEN = "observed", "hidden"
 def noise_groups(task: FilterInput) -> dict[str, tuple[int, ...]]:
     """States driven by noise, by group: those beside a measured channel, and all others.
 
-    States of a sensor or an actuator that is slow or late are no part of the machine on which
-    forces act; what they show is noise of the reading, or of the input.
+    An effect's own states get none. Its law says how they follow the machine, and what acts at
+    random acts on the machine: a force on a state of a late sensor, an actuator or a hysteresis
+    would make the law explain whatever it is given.
     """
     names, traced = task.states, task.compiled.traced
-    chain = {e.label for e in task.model.effects if isinstance(e, SensorEffect | InputEffect)}
     members: dict[str, list[int]] = {OBSERVED: [], HIDDEN: []}
     for i, name in enumerate(names):
-        if traced.rate_name(name) in names or owner_of(name) in chain:
+        if traced.rate_name(name) in names or parameter_of(name):
             continue
         base = traced.base_name(name)
         members[HIDDEN if traced.measured_or_read.isdisjoint((base, name)) else OBSERVED].append(i)

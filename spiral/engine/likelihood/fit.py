@@ -338,20 +338,10 @@ class _Search:
                 )
         return replace(at, kept=replace(at.kept, beyond=beyond))
 
-    def columns(self, at: MaximumLikelihood) -> list[Array]:
-        """Slopes of the whitened innovations by parameters (sign turned), for every record."""
-        slopes = [p.columns.copy() for p in at.predictions]  # slopes that overflow count as zero
-        for j, key in enumerate(self.keys):
-            for mine, more in zip(slopes, at.kept.beyond.get(key, ()), strict=False):
-                mine[:, :, j] += more
-        for mine in slopes:
-            mine[:, :, ~np.isfinite(mine).all(axis=(0, 1))] = 0.0
-        return slopes
-
     def rows(self, at: MaximumLikelihood) -> list[list[Array]]:
         """The scoring regression's rows of every record."""
         blocks = []
-        names, columns = self.sizes(at), self.columns(at)
+        names, columns = self.sizes(at), innovation_slopes(at)
         for r, part in enumerate(at.predictions):
             chosen = None if self.masks is None else self.masks[r]
             mask = slice(None) if chosen is None else chosen
@@ -404,6 +394,20 @@ class _Search:
                 sizes[name] = float(np.clip(grown, low, high))
         prepared = tuple((t.with_values(values), s) for t, s in at.prepared)
         return prepared, at.noise.with_values(sizes)
+
+
+def innovation_slopes(at: MaximumLikelihood) -> list[Array]:
+    """(samples, channels, keys) slopes of the whitened innovations (sign turned), by record.
+
+    Slopes that overflow count as zero.
+    """
+    slopes = [p.columns.copy() for p in at.predictions]
+    for j, key in enumerate(at.keys):
+        for mine, more in zip(slopes, at.kept.beyond.get(key, ()), strict=False):
+            mine[:, :, j] += more
+    for mine in slopes:
+        mine[:, :, ~np.isfinite(mine).all(axis=(0, 1))] = 0.0
+    return slopes
 
 
 def _difference_steps(columns: Sequence[Array]) -> dict[int, float]:

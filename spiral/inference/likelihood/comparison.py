@@ -46,6 +46,7 @@ from spiral.inference.likelihood.fitting import (
     apply_integration_settings,
     innovation_whiteness,
     innovations,
+    is_white,
     with_tracked_values,
 )
 from spiral.inference.likelihood.free_fit import (
@@ -96,7 +97,6 @@ def compare_by_likelihood(
         state, shown = replace(state, settle=settle), replace(shown, settle=settle)
         run, starts, unseen = _test_run(other, shown, model, free.estimate)
         seen, tested = {"unseen": unseen}, run.predicted
-    errors, problem = run.errors(names), assembly.problem
     carried = _free_run_uncertainty(
         other or assembly, model, run, starts, free.estimate, estimate.noise
     )
@@ -105,30 +105,30 @@ def compare_by_likelihood(
     told = followed_force_sentences(fit) if carried.forces > floor else ()
     return state, Comparison(
         model=model,
-        fit_error=_mean(e.relative for e in own.errors(names).values()),
-        test_error=_mean(e.relative for e in errors.values()),
-        channels=errors,
+        fit_error=_mean_error(own, names),
+        test_error=_mean_error(run, names),
+        channels=run.errors(names),
         noise_floor=floor,
         horizon=max(s.samples for s in assembly.study.series),
         converged=estimate.converged,
-        **_note_fields(problem, state, model, fit, free, told),
-        noise_ratio=_declared_noise_ratio(problem.records, state.noise),
+        **_note_fields(assembly.problem, state, model, fit, free, told),
+        noise_ratio=_declared_noise_ratio(assembly.problem.records, state.noise),
         **seen,
-        **_noise_and_residual_fields(assembly, fit, model, reported, carried, run, floor),
+        **_residual_fields(assembly, fit, own),
+        **_noise_fields(assembly, fit, model, reported, carried, run, floor),
         uncertain=0.0 if other is None else carried.doubts,
         traces=Traces(own.predicted, tested, run.settled[0], innovations(fit)),
     )
 
 
-def _noise_and_residual_fields(
+def _noise_fields(
     assembly: Assembly, fit: LikelihoodFit, model: Model, reported: ReportedNoise,
     carried: _FreeRunTolerance, run: FreeRun, floor: float,
 ) -> dict[str, Any]:  # fmt: skip
-    """Fields of the comparison: noise sizes, residual statistics, departures from the model."""
+    """Fields of the comparison: noise sizes, departures from the model."""
     sizes, times = reported.sizes(carried.forces, floor)
-    left, white = _residual_statistics(assembly, fit)
+    white = fit.estimate.finite and is_white(assembly, fit)
     return {
-        **left,
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
@@ -229,18 +229,21 @@ def _free_run_uncertainty(
     return _FreeRunTolerance(*shares)
 
 
-def _residual_statistics(assembly: Assembly, fit: LikelihoodFit) -> tuple[dict[str, float], bool]:
-    """Chi2 and whiteness of the innovations by name, and whether they are white."""
+def _residual_fields(assembly: Assembly, fit: LikelihoodFit, own: FreeRun) -> dict[str, float]:
+    """Chi2 and whiteness of the innovations, and what of them follows the motion, by name.
+
+    ``own`` : the free run of the fitted records.
+    """
     estimate = fit.estimate
     chi2 = estimate.chi2 if estimate.finite else np.inf
     told = {"chi2_per_dof": chi2, "innovation_chi2": chi2}
     if not estimate.finite:
-        return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}, False
+        return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}
     seen = innovation_whiteness(assembly, fit)
     told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * _innovation_share(estimate)}
-    if white := seen.p >= assembly.problem.settings.whiteness_level:
-        return told, white
-    return told | {"followed": motion_explained_share(fit)}, white
+    if seen.p >= assembly.problem.settings.whiteness_level:
+        return told
+    return told | {"followed": motion_explained_share(fit, own)}
 
 
 def _settling_time(other: Assembly, known: float | None, task: FilterInput) -> float:
@@ -402,6 +405,11 @@ def _innovation_share(estimate: MaximumLikelihood) -> float:
         size = sum(noise.values.get(f"{k}.{name}", 0.0) ** 2 for k in STATIONARY)
         shares.append(float(np.mean(misses**2)) / size if size > 0 else 1.0)
     return min(_mean(shares), 1.0)
+
+
+def _mean_error(run: FreeRun, names: tuple[str, ...]) -> float:
+    """Relative error of a free run, mean over channels."""
+    return _mean(e.relative for e in run.errors(names).values())
 
 
 def _mean(values) -> float:

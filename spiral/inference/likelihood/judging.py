@@ -3,6 +3,11 @@
 It must predict these blocks better than the model as it is, both with their values from the
 selecting blocks; and, both refitted there, be significantly likelier by Wilks' test, corrected for
 the number of values of its shapes that were tried.
+
+Where what the model as it is leaves is not white, no noise model having made it so, the likelihood
+counts one surprise many times, and anything that bends with it seems to help. Both then follow
+their own past besides (``engine.likelihood.autoregression``), and the smaller gain counts: an
+effect must explain more than the record's own past does.
 """
 
 from __future__ import annotations
@@ -12,6 +17,7 @@ from dataclasses import dataclass
 
 from scipy import special
 
+from spiral.engine.likelihood.autoregression import autoregressive_order, coloured_log_likelihood
 from spiral.engine.likelihood.fit import MaximumLikelihood, maximise_likelihood
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.assembly import Assembly
@@ -60,6 +66,10 @@ class JudgingFits:
     carried: MaximumLikelihood
     refitted: MaximumLikelihood
 
+    def order(self, masks: Masks) -> int:
+        """How many samples of its own past what the model leaves follows; 0 where it is white."""
+        return autoregressive_order(self.refitted, masks) if self.refitted.finite else 0
+
 
 def fit_on_judging_blocks(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> JudgingFits:
     """A fit evaluated and refitted on other blocks; ``assembly`` is its own study."""
@@ -81,11 +91,23 @@ def judge_winner(
     freed = set(rival.fit.state.freed) - set(base.state.freed)
     terms = len(rival.ranked.columns) + len(freed)
     searched = rival.ranked.variant.searched if freed else 1
+    order = ours.order(masks)
     predicted, refitted_ = (
-        b.log_likelihood - a.log_likelihood
+        _least_gain(a, b, order, masks)
         for a, b in ((ours.carried, theirs.carried), (ours.refitted, theirs.refitted))
     )
     return JudgedWinner(predicted, refitted_, terms, searched)
+
+
+def _least_gain(
+    ours: MaximumLikelihood, theirs: MaximumLikelihood, order: int, masks: Masks
+) -> float:
+    """Gain in log-likelihood, the lesser of those beside white and beside coloured innovations."""
+    gain = theirs.log_likelihood - ours.log_likelihood
+    if order == 0 or not (ours.finite and theirs.finite):
+        return gain
+    coloured = [coloured_log_likelihood(at, order, masks) for at in (ours, theirs)]
+    return min(gain, coloured[1] - coloured[0])
 
 
 def maximise_on_blocks(

@@ -106,12 +106,19 @@ def select_noise_model(assembly: Assembly, fit: LikelihoodFit, progress: Progres
 def _continue_with_each(
     assembly: Assembly, fit: LikelihoodFit, noises: Sequence[NoiseModel]
 ) -> list[LikelihoodFit]:
-    """The fit continued with each of several noise models."""
-    return run_in_threads(
-        lambda noise: continue_fit(assembly, fit, noise, rough=True),
-        noises,
-        longest(fit.estimate.prepared),
-    )
+    """The fit continued with each of several noise models, the most promising first.
+
+    Others are taken on while their steps promise to be worth as much as the first.
+    """
+    first, *others = noises
+    leader = continue_fit(assembly, fit, first, rough=True)
+    at = fit.estimate.prepared
+
+    def follow(noise: NoiseModel) -> LikelihoodFit:
+        least = leader.log_likelihood + noise_penalty(noise, leader.estimate.noise, at)
+        return continue_fit(assembly, fit, noise, rough=True, least=least)
+
+    return [leader, *run_in_threads(follow, others, longest(at))]
 
 
 def reselect_noise_model(
@@ -300,11 +307,15 @@ def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
 
 
 def _likeliest_of_each_kind(at: MaximumLikelihood, looks: Sequence[_TermTrial]) -> list[NoiseModel]:
-    """Of each kind the noise model that gains most on all records, where it does so by the odds."""
+    """Of each kind the noise model that gains most on all records, where it does so by the odds.
+
+    The kind that gains most comes first.
+    """
     kinds = dict.fromkeys(x.kind for x in looks)
     of_kind = [[x.noise for x in looks if x.kind == kind] for kind in kinds]
     best = run_in_threads(lambda n: _best_noise_model(at, n), of_kind, longest(at.prepared))
-    return [b.noise for b in best if b is not None]
+    ranked = sorted((b for b in best if b is not None), key=lambda b: -worth_beside(b, at))
+    return [b.noise for b in ranked]
 
 
 def worth_beside(trial: MaximumLikelihood, at: MaximumLikelihood) -> float:
@@ -319,15 +330,15 @@ def _best_noise_model(
     at: MaximumLikelihood, noises: Sequence[NoiseModel]
 ) -> MaximumLikelihood | None:
     """The noise model that gains most beyond its penalty on all records, if by the odds."""
-    chosen, worth = None, float(np.log(DECISIVE_ODDS))
+    chosen, worth, raised = None, float(np.log(DECISIVE_ODDS)), False
     for noise in noises:
         enough = at.log_likelihood + noise_penalty(noise, at.noise, at.prepared) + worth
         steep = any(noise.has_kind(k) > at.noise.has_kind(k) for k in FILTERED)  # may get steeper
         trial = tune_noise(at.prepared, noise, -np.inf if steep else enough)
         trial = raise_filter_order(trial) if steep else trial
         if worth_beside(trial, at) > worth:
-            chosen, worth = trial, worth_beside(trial, at)
-    return None if chosen is None else raise_filter_order(chosen)
+            chosen, worth, raised = trial, worth_beside(trial, at), steep
+    return chosen if chosen is None or raised else raise_filter_order(chosen)
 
 
 def tune_noise(

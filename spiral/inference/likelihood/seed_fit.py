@@ -168,6 +168,11 @@ def far_from_given(assembly: Assembly, state: FitState, factor: float) -> tuple[
     return tuple(k for k, x in shares.items() if not 1 / factor <= x <= factor)
 
 
+def is_noise_settled(assembly: Assembly, fit: LikelihoodFit) -> bool:
+    """Whether sensor noise alone has nothing to find: no start has, and every sensor has noise."""
+    return is_start_settled(assembly, fit) and not has_noiseless_sensor(fit)
+
+
 def restart_from_sensor_noise(
     assembly: Assembly, fit: LikelihoodFit, progress: Progress
 ) -> LikelihoodFit:
@@ -178,9 +183,7 @@ def restart_from_sensor_noise(
     beside a sensor without any noise. Noise that is not white looks like motion, so the noise model
     is selected from there as well.
     """
-    if not fit.estimate.finite or (
-        is_start_settled(assembly, fit) and not has_noiseless_sensor(fit)
-    ):
+    if not fit.estimate.finite or is_noise_settled(assembly, fit):
         return fit
     progress("starting again with sensor noise alone")
     again = fit_by_likelihood(assembly, fit.state, sensor_noise_only(fit), rough=True)

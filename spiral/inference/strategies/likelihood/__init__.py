@@ -2,6 +2,7 @@
 
 ``begin_study``: the seed fitted, the candidates listed.
 ``propose``: a round: candidates scored, raced, refitted and tested.
+``accepted``: what comes of these tests.
 ``admission``: the tests that a candidate must pass, and the model with it.
 ``superfluous``: admitted effects that a later one makes superfluous.
 ``twins``: effects that do elsewhere what another does (a late sensor, a late input).

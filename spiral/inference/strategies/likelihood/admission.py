@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,6 @@ from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.departures import drifting_parameters
 from spiral.inference.likelihood.excerpts import search_on_excerpt, whole_state, whole_study
 from spiral.inference.likelihood.fitting import (
-    WORTH,
     LikelihoodFit,
     continue_fit,
     fit_by_likelihood,
@@ -55,6 +54,7 @@ from spiral.inference.likelihood.noise_selection import (
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.likelihood.seed_fit import (
     best_fit,
+    is_noise_settled,
     refine_integration_steps,
     refit_on_finer_steps,
     restart_from_given_values,
@@ -66,6 +66,13 @@ from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.likelihood.accepted import (
+    NOTHING_TRIED,
+    AcceptedCandidate,
+    Objection,
+    RaceOutcome,
+    WholeRecordFit,
+)
 from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
 from spiral.inference.strategies.likelihood.superfluous import (
     admitted_variants,
@@ -109,66 +116,6 @@ def compare_likelihood_fit(
             "parameters": list(map(without_variant, ties.parts)),
         }
     return RefittedModel(state, comparison, retired, details, likelihood)
-
-
-@dataclass(frozen=True)
-class WholeRecordFit:
-    """A model fitted to all samples: the study it is compiled in, its fit, and its comparison."""
-
-    assembly: Assembly
-    fit: LikelihoodFit
-    refitted: RefittedModel
-
-
-@dataclass(frozen=True)
-class AcceptedCandidate:
-    """A candidate that passed all tests, its look-alikes (``aliases``), and the model with it."""
-
-    rival: Rival
-    aliases: tuple[str, ...]
-    whole: WholeRecordFit
-
-
-Objection = Callable[[WholeRecordFit], Refusal | None]
-"""Function that gives the reason to refuse a model with a candidate, or nothing."""
-
-
-@dataclass(frozen=True)
-class RaceOutcome:
-    """The first winner of a race that passed all tests, and why earlier ones were refused.
-
-    ``likely`` is the first that is more likely, also on the blocks that did not select, and was
-    refused for what it does alone. ``worths`` of those rejected, on the blocks that select;
-    ``refused`` are those of them that were fitted to the whole records.
-    """
-
-    passed: AcceptedCandidate | None
-    rejected: dict[str, str]
-    likely: AcceptedCandidate | None = None
-    worths: Mapping[str, float] = field(default_factory=dict)
-    refused: tuple[str, ...] = ()
-
-    def refused_on_whole(self) -> RaceOutcome:
-        """What the whole records have refused, whatever it is worth in another race."""
-        reasons = {x: self.rejected[x] for x in self.refused}
-        return RaceOutcome(None, reasons, worths=dict.fromkeys(reasons, np.inf))
-
-    def reason_for(self, rival: Rival) -> str:
-        """Why a rival was rejected at the same maximum; empty where it was not.
-
-        One that is worth no more than it was then has come to the values of that time.
-        """
-        if rival.worth > self.worths.get(rival.label, -np.inf) + WORTH:
-            return ""
-        return self.rejected.get(rival.label, "")
-
-    @property
-    def admitted(self) -> tuple[AcceptedCandidate, ...]:
-        """The candidate that passed, as a tuple of one; empty where none did."""
-        return () if self.passed is None else (self.passed,)
-
-
-NOTHING_TRIED = RaceOutcome(None, {})
 
 
 def offer_effects(assembly: Assembly, effects: tuple[Effect, ...]) -> Assembly:
@@ -221,18 +168,34 @@ def first_to_pass(
         chosen, near = simplest_rival(rival, indistinguishable_rivals(rivals, options.odds), rivals)
         aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
-        passed = AcceptedCandidate(chosen, aliases, fit_with_rival(chosen, progress))
-        refusal = _refuse_senseless(passed.whole, chosen) or objection(passed.whole)
-        if refusal is not None and refusal.alone:
-            freely = _with_free_run_values(passed, progress)
-            if freely is not None and objection(freely.whole) is None:
-                passed, refusal = freely, None
+        passed, refusal = _fit_and_ask(chosen, aliases, objection, progress)
         if refusal is None:
             return RaceOutcome(passed, rejected, likely, worths, tuple(refused))
         rejected[chosen.label], worths[chosen.label] = refusal.reason, chosen.worth
         refused.append(chosen.label)
         likely = likely or (passed if refusal.alone else None)
     return RaceOutcome(None, rejected, likely, worths, tuple(refused))
+
+
+def _fit_and_ask(
+    chosen: Rival, aliases: tuple[str, ...], objection: Objection, progress: Progress,
+    early: bool = True,
+) -> tuple[AcceptedCandidate, Refusal | None]:  # fmt: skip
+    """A candidate fitted to all samples, and why it is refused, if it is.
+
+    ``early`` : its noise model is not looked for where it is refused without.
+    """
+    whole = fit_with_rival(chosen, progress, objection if early else None)
+    passed = AcceptedCandidate(chosen, aliases, whole)
+    refusal = _refuse_senseless(whole, chosen) or objection(whole)
+    if refusal is None or not refusal.alone:
+        return passed, refusal
+    freely = _with_free_run_values(passed, progress)
+    if freely is None or objection(freely.whole) is not None:
+        return passed, refusal
+    if whole.complete:
+        return freely, None
+    return _fit_and_ask(chosen, aliases, objection, progress, early=False)
 
 
 def _meaningful(race: Race, rejected: dict[str, str]) -> Iterator[tuple[Rival, list[Rival]]]:
@@ -319,14 +282,16 @@ def _drop_unused_variants(own: Assembly, state: FitState) -> tuple[Assembly, Fit
     return final, transfer_fit_state(state, own, final)
 
 
-def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> LikelihoodFit:
-    """The fit with the noise model that its records prefer.
+def finish_fit(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress, anew: bool = False
+) -> LikelihoodFit:
+    """The fit with the noise model that its records prefer; ``anew`` : terms it has may go.
 
     Where its misses are white it is taken to its very maximum, since the model may be the last, and
     its integration steps are refined, but where a force above ``settings.random_limit`` acts.
     """
     fit = without_noise_of_steps(assembly, fit, progress)
-    search = functools.partial(_search_noise, progress)
+    search = functools.partial(_search_noise, progress, anew)
     fit = search_on_excerpt(assembly, fit, search, select_sensor_drift)
     if not fit.estimate.finite or innovation_whiteness(assembly, fit).p < _LAST:
         return fit
@@ -338,11 +303,16 @@ def finish_fit(assembly: Assembly, fit: LikelihoodFit, progress: Progress) -> Li
     return fit if lacks else refine_integration_steps(assembly, fit)  # it is no answer
 
 
-def _search_noise(progress: Progress, assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+def _search_noise(
+    progress: Progress, anew: bool, assembly: Assembly, fit: LikelihoodFit
+) -> LikelihoodFit:
     """The fit with the noise model that its records prefer, restarted where that may lead on."""
     fit = select_noise_model(assembly, fit, progress)
     fit = restart_from_given_values(assembly, fit, progress)
-    fit = restart_from_sensor_noise(assembly, fit, progress)
+    if anew and is_noise_settled(assembly, fit):  # else it is selected anew from sensor noise alone
+        fit = reselect_noise_model(assembly, fit, progress)
+    else:
+        fit = restart_from_sensor_noise(assembly, fit, progress)
     return restart_vanished_noise(assembly, fit)
 
 
@@ -372,14 +342,16 @@ def benefit_objection(
 
 
 def fit_with_effect(
-    own: Assembly, state: FitState, label: str, progress: Progress, like: FilterInputs | None = None
-) -> WholeRecordFit:
+    own: Assembly, state: FitState, label: str, progress: Progress,
+    like: FilterInputs | None = None, objection: Objection | None = None,
+) -> WholeRecordFit:  # fmt: skip
     """The model with a candidate, fitted to all samples; superfluous noise terms and effects go.
 
     Parameters
     ----------
     own : the study with the candidate. state : in its terms. label : the candidate's, compiled.
-    like : the records with the scales that its noise was fitted on.
+    like : the records with the scales that its noise was fitted on. objection : the fit ends
+        before its noise model is looked for where errors on unseen data grow by it.
     """
     fit = fit_by_likelihood(own, state, rough=True)
     if not fit.estimate.finite:  # sizes of its noise may mean something else: on the same scales
@@ -389,9 +361,13 @@ def fit_with_effect(
     if not is_start_settled(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
-    anew = functools.partial(reselect_noise_model, progress=progress)
-    fit = search_on_excerpt(own, fit, anew)
-    fit = finish_fit(own, restore_declared_interpolation(own, fit, progress), progress)
+    if objection is not None and fit.estimate.finite:
+        whole = compare_whole_record_fit(own, fit, (), progress)
+        refusal = objection(whole)
+        if refusal is not None and refusal.grows:
+            return replace(whole, complete=False)
+    fit = restore_declared_interpolation(own, fit, progress)
+    fit = finish_fit(own, fit, progress, anew=True)
     fit, gone = drop_superfluous_effects(own, fit, label)
     fit, needless = replace_by_interpolation(own, fit, progress)
     return compare_whole_record_fit(own, fit, (*gone, *needless), progress)
@@ -426,10 +402,12 @@ def _release_told_values(
     return fit, state
 
 
-def fit_with_rival(rival: Rival, progress: Progress) -> WholeRecordFit:
+def fit_with_rival(
+    rival: Rival, progress: Progress, objection: Objection | None = None
+) -> WholeRecordFit:
     """The model with a candidate that was raced, fitted to all samples; as ``fit_with_effect``."""
     own, state, like = _study_of_rival(rival)
-    return fit_with_effect(own, state, rival.ranked.variant.label, progress, like)
+    return fit_with_effect(own, state, rival.ranked.variant.label, progress, like, objection)
 
 
 def _study_of_rival(rival: Rival) -> tuple[Assembly, FitState, FilterInputs | None]:

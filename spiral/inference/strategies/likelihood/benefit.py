@@ -26,11 +26,13 @@ _BOUND = 0.99  # share of the largest random force from which one stands at its 
 class Refusal:
     """Why a model with a candidate is refused.
 
-    ``alone`` : it may be of use once what else is missing stands beside it.
+    ``alone`` : it may be of use once what else is missing stands beside it. ``grows`` : errors on
+    unseen data grow with it, which is of its values, not of the noise model beside them.
     """
 
     reason: str
     alone: bool = False
+    grows: bool = False
 
 
 def refuse_unhelpful(
@@ -58,7 +60,7 @@ def refuse_unhelpful(
     judged_ = changes(before.unseen, after.unseen)
     if (worse := unexplained_error_growth(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
-        return Refusal(f"the error on unseen data grows ({said})", alone=True)
+        return Refusal(f"the error on unseen data grows ({said})", alone=True, grows=True)
     told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]

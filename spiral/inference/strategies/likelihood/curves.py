@@ -35,10 +35,12 @@ from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
-from spiral.inference.strategies.likelihood.admission import (
+from spiral.inference.strategies.likelihood.accepted import (
     AcceptedCandidate,
     Objection,
     WholeRecordFit,
+)
+from spiral.inference.strategies.likelihood.admission import (
     benefit_objection,
     compare_whole_record_fit,
     first_to_pass,

@@ -42,9 +42,11 @@ from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import is_moved_at_random, is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
-from spiral.inference.strategies.likelihood.admission import (
+from spiral.inference.strategies.likelihood.accepted import (
     AcceptedCandidate,
     WholeRecordFit,
+)
+from spiral.inference.strategies.likelihood.admission import (
     first_to_pass,
     fit_beside_noise,
     offer_effects,

@@ -42,8 +42,10 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import unexplained_error_growth
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.likelihood.admission import (
+from spiral.inference.strategies.likelihood.accepted import (
     AcceptedCandidate,
+)
+from spiral.inference.strategies.likelihood.admission import (
     fit_with_rival,
     offer_effects,
 )

@@ -32,9 +32,11 @@ from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.nearness import is_near_noise
 from spiral.inference.problem import Progress, Settings, silent
 from spiral.inference.strategies.base import RefittedModel, RemainingLookAlikes, Step
-from spiral.inference.strategies.likelihood.admission import (
+from spiral.inference.strategies.likelihood.accepted import (
     AcceptedCandidate,
     RaceOutcome,
+)
+from spiral.inference.strategies.likelihood.admission import (
     compare_likelihood_fit,
     finish_fit,
     fit_with_effect,
@@ -70,12 +72,13 @@ from spiral.types.run import Comparison, StopReason, Suggestion
 
 def propose(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, comparison: Comparison,
-    number: int, progress: Progress,
+    number: int, progress: Progress, beyond: bool = True,
 ) -> Step[ScoredRound]:  # fmt: skip
     """The candidate that makes the record most likely, if it passes on other blocks.
 
     Or two at once, where none is of use alone. None is tried on a record whose time is not the
-    model's: of such motion each would be fitted for long and told of nothing.
+    model's: of such motion each would be fitted for long and told of nothing. ``beyond`` : where
+    none passes, what no candidate is (memory, laws, curves) is looked for.
     """
     if comparison.contradictions and _is_of_another_time(assembly, state):
         return Step((), {}, stopped="no_candidate")
@@ -100,7 +103,7 @@ def propose(
     step = Step(listed[: options.listed], contest.outcome.rejected, stopped=ending, result=scored)
     return _step_without_candidate(
         options, assembly, state, contest.base, step, comparison, contest.masks,
-        asked.level(), number, progress,
+        asked.level(), number, progress, beyond,
     )  # fmt: skip
 
 
@@ -128,20 +131,27 @@ def _decided_step(
 def _step_without_candidate(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
     step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
-    number: int, progress: Progress,
+    number: int, progress: Progress, beyond: bool,
 ) -> Step[ScoredRound]:  # fmt: skip
-    """The step where no candidate passes: other noise, then what no candidate is, then waves."""
+    """The step where no candidate passes: other noise, then what no candidate is, then waves.
+
+    Beside waves candidates are asked once more. What no candidate is was not found where more was
+    left to explain, and is not looked for again.
+    """
     other = refit_with_smaller_forces(assembly, state, progress)
     if other is None:
         if (grown := refit_with_noise_growth(assembly, state, base, progress)) is not None:
             return replace(step, stopped=_ending(grown.comparison, assembly), again=grown)
-        left = _step_for_unexplained(
-            options, assembly, state, base, step, comparison, masks, level, progress
-        )
+        left = step
+        if beyond:
+            left = _step_for_unexplained(
+                options, assembly, state, base, step, comparison, masks, level, progress
+            )
         other = refit_with_resonant_force(assembly, state, progress) if left is step else None
         if other is None:
             return left
-    return _propose_after_refit(options, assembly, other, number, progress)
+        beyond = False
+    return _propose_after_refit(options, assembly, other, number, progress, beyond)
 
 
 def _admitting_step(
@@ -217,9 +227,10 @@ def _propose_after_refit(
     again: RefittedModel,
     number: int,
     progress: Progress,
+    beyond: bool = True,
 ) -> Step[ScoredRound]:
     """Propose once more, from a model that was refitted in another way."""
-    step = propose(options, assembly, again.fit_state, again.comparison, number, progress)
+    step = propose(options, assembly, again.fit_state, again.comparison, number, progress, beyond)
     return replace(step, again=step.again or again)
 
 

@@ -26,11 +26,13 @@ from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
 from spiral.inference.nearness import may_noise_stand_in
 from spiral.inference.problem import Progress, ScoreMessage
 from spiral.inference.strategies.base import RefittedModel
-from spiral.inference.strategies.likelihood.admission import (
+from spiral.inference.strategies.likelihood.accepted import (
     NOTHING_TRIED,
     AcceptedCandidate,
     Objection,
     RaceOutcome,
+)
+from spiral.inference.strategies.likelihood.admission import (
     benefit_objection,
     first_to_pass,
 )
