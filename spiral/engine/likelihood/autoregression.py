@@ -31,7 +31,8 @@ _ENOUGH = 0.1  # log-likelihood that is not worth another
 
 def autoregressive_order(at: MaximumLikelihood, masks: Masks = None) -> int:
     """The order p by Schwarz's criterion, 0 where the misses do not follow their past."""
-    parts = [p.whitened for p in at.predictions]
+    read = _read_channels(at, masks)
+    parts = [p.whitened[:, read] for p in at.predictions]
     samples, channels = _chosen(parts, masks).shape
     best, order = _height(parts, masks, 0), 0
     for p in _ORDERS:
@@ -45,14 +46,15 @@ def autoregressive_order(at: MaximumLikelihood, masks: Masks = None) -> int:
 
 def coloured_log_likelihood(at: MaximumLikelihood, order: int, masks: Masks = None) -> float:
     """Log-likelihood with innovations that follow their past, on the samples of the masks."""
-    parts = [p.whitened for p in at.predictions]
+    read = _read_channels(at, masks)
+    parts = [p.whitened[:, read] for p in at.predictions]
     constant = 0.0
     for r, part in enumerate(at.predictions):
         mask = slice(None) if masks is None or masks[r] is None else masks[r]
         spreads = part.spreads[mask]
         constant -= 0.5 * float(np.sum(np.log(2 * np.pi * spreads[spreads > 0])))
     height = _height(parts, masks, order)
-    slopes = innovation_slopes(at) if at.keys else []
+    slopes = [x[:, read] for x in innovation_slopes(at)] if at.keys else []
     for _ in range(_STEPS if slopes else 0):
         step = _gauss_newton_step(parts, slopes, masks, order)
         moved = [e - x @ step for e, x in zip(parts, slopes, strict=True)]
@@ -61,6 +63,11 @@ def coloured_log_likelihood(at: MaximumLikelihood, order: int, masks: Masks = No
             break
         parts, height = moved, better
     return constant + height
+
+
+def _read_channels(at: MaximumLikelihood, masks: Masks) -> Array:
+    """(channels,) whether a channel is read in any sample that counts."""
+    return np.any(_chosen([p.spreads for p in at.predictions], masks) > 0, axis=0)
 
 
 def _chosen(parts: Sequence[Array], masks: Masks) -> Array:
@@ -91,7 +98,7 @@ def _regression(parts: Sequence[Array], masks: Masks, order: int) -> tuple[Array
 
 
 def _height(parts: Sequence[Array], masks: Masks, order: int) -> float:
-    """-N/2 (log |S| + m), where the channels are read; -inf where S is singular."""
+    """-N/2 (log |S| + m); -inf where S is singular."""
     left = _regression(parts, masks, order)[1]
     samples, channels = left.shape
     sign, size = np.linalg.slogdet(left.T @ left / samples)
