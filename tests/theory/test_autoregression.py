@@ -7,6 +7,7 @@ from scipy import special
 from spiral.engine.likelihood.autoregression import (
     autoregressive_order,
     coloured_log_likelihood,
+    fit_autoregression,
 )
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.predict import Prediction
@@ -27,6 +28,11 @@ def estimate_of(misses, slopes=None):
     return MaximumLikelihood((), None, keys, height, parts, None, True, 0)
 
 
+def order_of(at, masks=None):
+    """The order of the autoregression of an estimate's innovations."""
+    return autoregressive_order(at.predictions, masks)
+
+
 def first_order(rng, samples=SAMPLES, share=0.9, channels=1):
     """An autoregression of first order with innovations of size one."""
     e = rng.normal(size=(samples, channels))
@@ -37,7 +43,9 @@ def first_order(rng, samples=SAMPLES, share=0.9, channels=1):
 
 def test_white_misses_follow_no_past():
     orders = [
-        autoregressive_order(estimate_of([np.random.default_rng(s).normal(size=(SAMPLES, 2))]))
+        autoregressive_order(
+            estimate_of([np.random.default_rng(s).normal(size=(SAMPLES, 2))]).predictions
+        )
         for s in range(40)
     ]
     assert orders == [0] * 40
@@ -49,7 +57,7 @@ def test_the_order_of_an_autoregression_is_found(order):
     e = rng.normal(size=(4000, 1))
     for k in range(order, len(e)):
         e[k] += 0.7 * e[k - order]
-    assert autoregressive_order(estimate_of([e])) == order
+    assert order_of(estimate_of([e])) == order
 
 
 def test_without_a_past_it_is_the_gaussian_likelihood():
@@ -65,6 +73,21 @@ def test_the_gain_is_that_of_the_smaller_innovations():
     at = estimate_of([e])
     gain = coloured_log_likelihood(at, 1) - coloured_log_likelihood(at, 0)
     assert gain == pytest.approx(0.5 * len(e) * np.log(1 / (1 - 0.81)), rel=0.02)
+
+
+def test_rows_are_whitened_with_the_innovations():
+    """Two channels that follow each other: what is left is white and of covariance one."""
+    rng = np.random.default_rng(13)
+    a, e = np.array([[0.5, 0.4], [-0.3, 0.6]]), rng.normal(size=(6000, 2)) * [1.0, 3.0]
+    for k in range(1, len(e)):
+        e[k] += a @ e[k - 1]
+    past = fit_autoregression(estimate_of([e]).predictions)
+    assert pytest.approx(a, abs=0.05) == past.weights.T
+    left = past.whiten(np.stack([e, 2.0 * e], axis=2))
+    assert np.cov(left[1:, :, 0].T) == pytest.approx(np.eye(2), abs=0.05)
+    assert left[:, :, 1] == pytest.approx(2.0 * left[:, :, 0])
+    assert order_of(estimate_of([left[:, :, 0]])) == 0
+    assert fit_autoregression(estimate_of([rng.normal(size=(SAMPLES, 2))]).predictions) is None
 
 
 def test_records_and_masks_are_taken_apart():
@@ -91,7 +114,7 @@ def test_a_channel_that_is_not_read_there_does_not_count():
     part.misses[:400, 1] = part.spreads[:400, 1] = 0.0
     masks = [np.arange(900) < 400]
     alone = estimate_of([one], [x[:, :1]])
-    assert autoregressive_order(both, masks) == autoregressive_order(alone, masks) == 1
+    assert order_of(both, masks) == order_of(alone, masks) == 1
     assert coloured_log_likelihood(both, 1, masks) == pytest.approx(
         coloured_log_likelihood(alone, 1, masks), rel=1e-12
     )
@@ -116,7 +139,7 @@ def test_wilks_test_holds_its_level_beside_coloured_misses():
         rng = np.random.default_rng(seed)
         e, x = first_order(rng, 600), first_order(rng, 600)[:, :, None]
         with_it, without = estimate_of([e], [x]), estimate_of([e])
-        order = autoregressive_order(without)
+        order = order_of(without)
         for i, p in enumerate((0, order)):
             heights = [coloured_log_likelihood(at, p) for at in (with_it, without)]
             passed[i] += special.chdtrc(1, 2 * max(heights[0] - heights[1], 0.0)) < 0.05

@@ -16,11 +16,12 @@ the record likelier: values that were fitted as if e were white are not the like
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from spiral.engine.likelihood.fit import MaximumLikelihood, innovation_slopes
-from spiral.engine.likelihood.predict import Masks
+from spiral.engine.likelihood.predict import Masks, Prediction
 from spiral.types.record import Array
 
 _ORDERS = (1, 2, 4, 8, 16, 32)
@@ -29,10 +30,41 @@ _STEPS = 4  # Gauss-Newton steps, at most
 _ENOUGH = 0.1  # log-likelihood that is not worth another
 
 
-def autoregressive_order(at: MaximumLikelihood, masks: Masks = None) -> int:
+@dataclass(frozen=True)
+class Autoregression:
+    """A_1 to A_p, transposed and one below another (p m, m), of the channels ``read``; S^(-1/2)."""
+
+    weights: Array
+    root: Array
+    read: Array
+
+    def whiten(self, rows: Array) -> Array:
+        """(samples, m, columns) of (samples, channels, columns) less what their past tells."""
+        rows = rows[:, self.read]
+        channels = rows.shape[1]
+        left = rows.copy()
+        for i in range(len(self.weights) // channels):
+            weights = self.weights[i * channels : (i + 1) * channels].T
+            left[i + 1 :] -= weights @ rows[: len(rows) - i - 1]
+        return self.root @ left
+
+
+def fit_autoregression(
+    predictions: Sequence[Prediction], masks: Masks = None
+) -> Autoregression | None:
+    """The autoregression of the innovations; nothing where they follow no past."""
+    order = autoregressive_order(predictions, masks)
+    if order == 0:
+        return None
+    read = _read_channels(predictions, masks)
+    weights, left = _regression([p.whitened[:, read] for p in predictions], masks, order)
+    return Autoregression(weights, _inverse_root(left), read)
+
+
+def autoregressive_order(predictions: Sequence[Prediction], masks: Masks = None) -> int:
     """The order p by Schwarz's criterion, 0 where the misses do not follow their past."""
-    read = _read_channels(at, masks)
-    parts = [p.whitened[:, read] for p in at.predictions]
+    read = _read_channels(predictions, masks)
+    parts = [p.whitened[:, read] for p in predictions]
     samples, channels = _chosen(parts, masks).shape
     best, order = _height(parts, masks, 0), 0
     for p in _ORDERS:
@@ -46,7 +78,7 @@ def autoregressive_order(at: MaximumLikelihood, masks: Masks = None) -> int:
 
 def coloured_log_likelihood(at: MaximumLikelihood, order: int, masks: Masks = None) -> float:
     """Log-likelihood with innovations that follow their past, on the samples of the masks."""
-    read = _read_channels(at, masks)
+    read = _read_channels(at.predictions, masks)
     parts = [p.whitened[:, read] for p in at.predictions]
     constant = 0.0
     for r, part in enumerate(at.predictions):
@@ -65,9 +97,9 @@ def coloured_log_likelihood(at: MaximumLikelihood, order: int, masks: Masks = No
     return constant + height
 
 
-def _read_channels(at: MaximumLikelihood, masks: Masks) -> Array:
+def _read_channels(predictions: Sequence[Prediction], masks: Masks) -> Array:
     """(channels,) whether a channel is read in any sample that counts."""
-    return np.any(_chosen([p.spreads for p in at.predictions], masks) > 0, axis=0)
+    return np.any(_chosen([p.spreads for p in predictions], masks) > 0, axis=0)
 
 
 def _chosen(parts: Sequence[Array], masks: Masks) -> Array:
@@ -110,7 +142,7 @@ def _gauss_newton_step(
 ) -> Array:
     """The step of the parameters that takes most off r^T S^-1 r, with A and S held."""
     weights, left = _regression(parts, masks, order)
-    root = np.linalg.cholesky(np.linalg.inv(left.T @ left / len(left)))
+    root = _inverse_root(left).T
     columns = []
     for j in range(slopes[0].shape[2]):
         own = [x[:, :, j] for x in slopes]
@@ -119,3 +151,8 @@ def _gauss_newton_step(
             rest = rest - _chosen([_with_past(x, order) for x in own], masks) @ weights
         columns.append((rest @ root).ravel())
     return np.linalg.lstsq(np.stack(columns, axis=1), (left @ root).ravel(), rcond=None)[0]
+
+
+def _inverse_root(left: Array) -> Array:
+    """(m, m) R with R^T R = S^-1, of what is left."""
+    return np.linalg.cholesky(np.linalg.inv(left.T @ left / len(left))).T

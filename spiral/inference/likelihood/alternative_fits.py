@@ -10,6 +10,9 @@ missing effect makes nothing more likely, although from another both come right 
   is slow, the likeliest of them has the noise that the record wants beside it, as the model as it
   is has its own: beside white noise alone a constant is worth less than noise that has its colour.
 
+What such noise leaves of the colour is not taken for what is missing: there candidates are ranked
+beside innovations that follow their own past (``engine.likelihood.autoregression``).
+
 Schwarz's penalty and the other half of the blocks judge them like any other, against
 the model as it is.
 """
@@ -20,6 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from spiral.engine.likelihood.autoregression import autoregressive_order, coloured_log_likelihood
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.noise import EXTRA, first_noise, size_limits
 from spiral.engine.likelihood.predict import Masks
@@ -39,6 +43,7 @@ from spiral.inference.likelihood.fitting import (
     free_parameters,
     is_random_force_small,
     prepare_filter_tasks,
+    schwarz_penalty,
     with_estimate,
 )
 from spiral.inference.likelihood.noise_selection import select_noise_model
@@ -77,16 +82,16 @@ def rivals_beside_less_noise(
     if len(less.terms) < len(noise.terms):
         progress("trying candidates beside white noise alone")
         start = fit_by_likelihood(assembly, base.state, less, masks, WARM, True)
-        white = _rivals_from_fit(assembly, base, start, masks)
+        white = _rivals_from_fit(assembly, base, start, masks, past=True)
         rivals += [_with_base_noise_terms(base, r, masks) for r in white]
         if white and _has_slow_sensor_noise(base):
-            best = max(white, key=lambda r: r.worth)
+            best = max(white, key=lambda r: _worth_beside_past(start, r, masks))
             rivals.append(_refit_rival_noise(base, best, masks, progress))
     if not is_random_force_small(base):
         progress("trying candidates beside sensor noise alone")
         sensor_noise = sensor_noise_only(base)
         start = fit_by_likelihood(assembly, base.state, sensor_noise, masks, WARM, True)
-        own = _rivals_from_fit(assembly, base, start, masks)
+        own = _rivals_from_fit(assembly, base, start, masks, past=True)
         rivals += [_with_base_noise_terms(base, r, masks) for r in own]
     return rivals
 
@@ -115,13 +120,29 @@ def _refit_rival_noise(
     return make_rival(own, base, rival.ranked, fit, rival.shapes)
 
 
+def _worth_beside_past(start: LikelihoodFit, rival: Rival, masks: Masks) -> float:
+    """What a rival is worth over the fit it started from, where both follow their own past."""
+    ours, theirs = start.estimate, rival.fit.estimate
+    if not (ours.finite and theirs.finite):
+        return -np.inf
+    order = autoregressive_order(ours.predictions, masks)
+    gain = coloured_log_likelihood(theirs, order, masks) - coloured_log_likelihood(
+        ours, order, masks
+    )
+    return gain - schwarz_penalty(len(rival.ranked.columns) + rival.shapes, theirs.prepared)
+
+
 def _rivals_from_fit(
-    assembly: Assembly, base: LikelihoodFit, start: LikelihoodFit, masks: Masks
-) -> list[Rival]:
-    """The most promising candidates of another fit, compared with ``base``."""
+    assembly: Assembly, base: LikelihoodFit, start: LikelihoodFit, masks: Masks,
+    past: bool = False,
+) -> list[Rival]:  # fmt: skip
+    """The most promising candidates of another fit, compared with ``base``.
+
+    ``past`` : by their scores beside innovations that follow their own past.
+    """
     ranked = None
     if start.estimate.finite:
-        ranked = rank_candidates(assembly, start, start.estimate.noise, masks)
+        ranked = rank_candidates(assembly, start, start.estimate.noise, masks, past)
     some = () if ranked is None else select_promising(list(ranked.ranked), _MOST)
     return [fit_candidate_briefly(assembly, base, r, masks, start=start) for r in some]
 

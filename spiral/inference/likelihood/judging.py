@@ -68,7 +68,9 @@ class JudgingFits:
 
     def order(self, masks: Masks) -> int:
         """How many samples of its own past what the model leaves follows; 0 where it is white."""
-        return autoregressive_order(self.refitted, masks) if self.refitted.finite else 0
+        if not self.refitted.finite:
+            return 0
+        return autoregressive_order(self.refitted.predictions, masks)
 
 
 def fit_on_judging_blocks(fit: LikelihoodFit, assembly: Assembly, masks: Masks) -> JudgingFits:

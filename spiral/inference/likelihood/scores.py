@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.leastsquares import triangle
+from spiral.engine.likelihood.autoregression import Autoregression, fit_autoregression
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
 from spiral.engine.likelihood.predict import Masks, Prediction, predict_readings
@@ -70,14 +71,16 @@ class FilteredRecords:
     motions: tuple[SystemMotion, ...]
     masks: Masks
     block: int
+    past: Autoregression | None = None
 
 
 def rank_candidates(
-    assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks
+    assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks, past: bool = False
 ) -> Ranking | None:
     """Candidates ranked by their score on some blocks; nothing where the filter diverges.
 
-    They are not compiled: their signatures are propagated along the predicted motion.
+    They are not compiled: their signatures are propagated along the predicted motion. ``past`` :
+    beside innovations that follow their own past, what a simple model of the noise leaves of it.
     """
     present = active_labels(assembly, fit.state)
 
@@ -87,20 +90,23 @@ def rank_candidates(
             variants += resonance_variants(filtered, effect)
         return variants
 
-    return rank_variants(assembly, fit, noise, masks, absent_variants)
+    return rank_variants(assembly, fit, noise, masks, absent_variants, past=past)
 
 
 def rank_variants(
     assembly: Assembly, fit: LikelihoodFit, noise: NoiseModel, masks: Masks,
     offered: Callable[[FilteredRecords], Sequence[Variant]], parts: Parts | None = None,
+    past: bool = False,
 ) -> Ranking | None:  # fmt: skip
     """The variants that ``offered`` gives for a pass of the filter, ranked by their score.
 
-    ``parts`` as in ``rank_groups``.
+    ``parts`` as in ``rank_groups``, ``past`` as in ``rank_candidates``.
     """
     filtered = _filter_records(assembly, fit, noise, masks)
     if filtered is None:
         return None
+    if past:
+        filtered = replace(filtered, past=fit_autoregression(filtered.parts, masks))
     reduction, groups = _regress_variants(filtered, offered(filtered))
     first, _ = columns_with_bounds(assembly, filtered.active)
     return rank_groups(reduction, column_owners(assembly, first), groups, filtered.block, parts)
@@ -136,7 +142,7 @@ def _regress_variants(
         finite = np.all([np.abs(c).max(axis=(0, 1)) < _HUGE for c in carried], axis=0)
     groups, carried = _drop_nonfinite_groups(groups, carried, finite)
     block = filtered.block if robust else 0
-    return _reduce_innovations(filtered.parts, carried, filtered.masks, block), groups
+    return _reduce_innovations(filtered, carried, block), groups
 
 
 # --- effects with states of their own ------------------------------------------------------------
@@ -353,17 +359,18 @@ def _signature_columns(
 
 
 def _reduce_innovations(
-    parts: Sequence[Prediction], carried: Sequence[Array], masks: Masks, block: int
+    filtered: FilteredRecords, carried: Sequence[Array], block: int
 ) -> Reduction:
     """Whitened innovations and slopes as a triangle, with the Gram matrix of each block."""
-    rows, grams, cost, samples = [], [], 0.0, 0
-    for r, (part, own) in enumerate(zip(parts, carried, strict=True)):
+    rows, grams, cost, samples, masks = [], [], 0.0, 0, filtered.masks
+    for r, (part, own) in enumerate(zip(filtered.parts, carried, strict=True)):
         chosen = None if masks is None else masks[r]
         mask = np.ones(len(part.misses), dtype=bool) if chosen is None else chosen
         weight = part.weight[..., None]
         whole = np.concatenate(
             [part.slopes * weight, own * weight, part.whitened[..., None]], axis=2
         )
+        whole = whole if filtered.past is None else filtered.past.whiten(whole)
         whole[~mask] = 0.0
         for start in range(0, len(whole), block) if block else ():
             piece = whole[start : start + block].reshape(-1, whole.shape[2])

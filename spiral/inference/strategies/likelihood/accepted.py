@@ -46,7 +46,8 @@ class RaceOutcome:
 
     ``likely`` is the first that is more likely, also on the blocks that did not select, and was
     refused for what it does alone. ``worths`` of those rejected, on the blocks that select;
-    ``refused`` are those of them that were fitted to the whole records.
+    ``refused`` are those of them that were fitted to the whole records, ``instead`` the first in
+    whose place another interpolation of an input does as well: the model with that, without it.
     """
 
     passed: AcceptedCandidate | None
@@ -54,6 +55,7 @@ class RaceOutcome:
     likely: AcceptedCandidate | None = None
     worths: Mapping[str, float] = field(default_factory=dict)
     refused: tuple[str, ...] = ()
+    instead: RefittedModel | None = None
 
     def refused_on_whole(self) -> RaceOutcome:
         """What the whole records have refused, whatever it is worth in another race."""

@@ -33,6 +33,7 @@ from spiral.inference.likelihood.comparison import compare_by_likelihood
 from spiral.inference.likelihood.departures import drifting_parameters
 from spiral.inference.likelihood.excerpts import search_on_excerpt, whole_state, whole_study
 from spiral.inference.likelihood.fitting import (
+    WORTH,
     LikelihoodFit,
     continue_fit,
     fit_by_likelihood,
@@ -153,13 +154,11 @@ def first_to_pass(
     rejected = dict(before.rejected)
     worths: dict[str, float] = {}
     likely: AcceptedCandidate | None = None
-    refused = list(before.refused)
+    refused, instead = list(before.refused), before.instead
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
-    for rival, rivals in itertools.islice(_meaningful(race, rejected), options.judged):
-        worths[rival.label] = rival.worth
-        if reason := before.reason_for(rival) or _unconfirmed_reason(
-            base, ours, rival, judge, level, least
-        ):
+    unasked = _unasked(_meaningful(race, rejected), before, rejected, worths)
+    for rival, rivals in itertools.islice(unasked, options.judged):
+        if reason := _unconfirmed_reason(base, ours, rival, judge, level, least):
             rejected[rival.label] = reason
             continue
         if twin := untold_twin(base, rival, race.masks):
@@ -170,11 +169,30 @@ def first_to_pass(
         progress(f"most likely values with {chosen.label}")
         passed, refusal = _fit_and_ask(chosen, aliases, objection, progress)
         if refusal is None:
-            return RaceOutcome(passed, rejected, likely, worths, tuple(refused))
+            return RaceOutcome(passed, rejected, likely, worths, tuple(refused), instead)
+        if instead is None and chosen.label in passed.whole.refitted.retired:
+            instead = passed.whole.refitted
         rejected[chosen.label], worths[chosen.label] = refusal.reason, chosen.worth
         refused.append(chosen.label)
         likely = likely or (passed if refusal.alone else None)
-    return RaceOutcome(None, rejected, likely, worths, tuple(refused))
+    return RaceOutcome(None, rejected, likely, worths, tuple(refused), instead)
+
+
+def _unasked(
+    winners: Iterator[tuple[Rival, list[Rival]]], before: RaceOutcome, rejected: dict[str, str],
+    worths: dict[str, float],
+) -> Iterator[tuple[Rival, list[Rival]]]:  # fmt: skip
+    """Winners without those that came to a maximum that was rejected, in ``before`` or since.
+
+    Their reasons go to ``rejected``, what each is worth to ``worths``.
+    """
+    for rival, rivals in winners:
+        label, worth = rival.label, worths.get(rival.label, -np.inf)
+        worths[label] = max(rival.worth, worth)
+        if reason := before.reason_for(rival):
+            rejected[label] = reason
+        elif rival.worth > worth + WORTH:
+            yield rival, rivals
 
 
 def _fit_and_ask(

@@ -18,8 +18,13 @@ from spiral.inference.likelihood.alternative_fits import (
     rivals_from_given_values,
 )
 from spiral.inference.likelihood.candidates import Race, Rival, start_race
-from spiral.inference.likelihood.excerpts import excerpt_study, whole_state
-from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, fit_by_likelihood
+from spiral.inference.likelihood.excerpts import excerpt_study, whole_state, whole_study
+from spiral.inference.likelihood.fitting import (
+    WARM,
+    WORTH,
+    LikelihoodFit,
+    fit_by_likelihood,
+)
 from spiral.inference.likelihood.interpolation import likelier_interpolation_fit
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
@@ -142,6 +147,8 @@ def race_and_test(
         race = race.with_more_rivals(quiet())
     outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
     passed, tried = outcome.admitted, race.tried
+    if not passed and (there := _likelier_instead(assembly, state, outcome)) is not None:
+        return TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, other=there)
     if not passed and outcome.likely is not None:
         passed = _find_second_effect(asked, outcome.likely, assembly.excerpt is not None)
     if not passed:
@@ -153,6 +160,19 @@ def race_and_test(
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
     return TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, passed)
+
+
+def _likelier_instead(assembly: Assembly, state: FitState, outcome: RaceOutcome) -> FitState | None:
+    """The state with another interpolation in place of what a race refused for it, if likelier.
+
+    The step over an input's samples and a lag of it look alike to a few steps of a race: that it is
+    the step shows when the refused candidate is fitted to all samples. ``state`` has neither.
+    """
+    instead = outcome.instead
+    if instead is None or instead.fit_state.between == state.between:
+        return None
+    now = fit_by_likelihood(whole_study(assembly), whole_state(assembly, state), steps=0)
+    return instead.fit_state if instead.log_likelihood > now.log_likelihood + WORTH else None
 
 
 def _score_candidates(
