@@ -343,3 +343,31 @@ def test_no_random_force_acts_on_states_of_an_effect():
             {w: tuple(task.states[i] for i in at) for w, at in noise_groups(task).items()}
         )
     assert groups[0] == groups[1] == groups[2]
+
+
+def late_and_dead(seed, samples=2000, rate=100.0):
+    """m x'' + c x' + k x = d(u of the sample before), held over each sample; d stops below 2 N."""
+    rng, h = np.random.default_rng(seed), 1 / rate / 20
+    u = np.repeat(rng.normal(size=samples // 4), 4) * 12.0
+    acting = np.concatenate([[0.0], np.sign(u[:-1]) * np.maximum(np.abs(u[:-1]) - 2.0, 0.0)])
+    q, v, x = 0.0, 0.0, np.empty(samples)
+    for k in range(samples):
+        x[k] = q
+        for _ in range(20):
+            v += h * (acting[k] - 2.0 * v - 400.0 * q)
+            q += h * v
+    y = x + 0.01 * x.std() * rng.normal(size=samples)
+    return make_record(Oscillator(), f"{seed}", np.arange(samples) / rate, {"x": y}, {"force": u})
+
+
+@pytest.mark.slow
+def test_a_dead_zone_behind_a_command_that_acts_a_sample_late_is_alone_what_is_missing():
+    """What is late is how the command is held; a lag, a limit of rate and a delay come close."""
+    candidates = ["input_delay", "actuator_lag", "rate_limit", "input_dead_zone"]
+    run = spiral.discover(
+        late_and_dead(1), Oscillator(), test=late_and_dead(2), candidates=candidates
+    )
+    assert run.missing == ("input_dead_zone",)
+    assert run.rounds[-1].comparison.between == {"force": "zero_order_1"}
+    gap = run.model.estimates()["input_dead_zone"]["gap"]
+    assert gap.estimate == pytest.approx(2.0, abs=3 * gap.se)
