@@ -1,5 +1,7 @@
 """What looked like an effect while another was missing, asked again beside the final model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from spiral_plugins.systems.oscillator import Oscillator
@@ -122,3 +124,27 @@ def test_one_effect_takes_the_place_of_two_that_do_the_same_with_more_numbers():
     assert set(at.rounds[-1].retired) == set(parts)
     found = at.rounds[-1].comparison.model.estimates()["bent"]["k"]
     assert np.isclose(found.estimate, 1e9, atol=3 * found.se)
+
+
+def test_a_contradicted_model_with_an_effect_that_has_states_is_asked_for_more():
+    """Its states are not those of the bare model, nor are their first deviations."""
+    values = {**VALUES, "lag.stiffness": 3e3, "lag.time_constant": 0.01}
+    values = {k: v for k, v in values.items() if k.split(".")[0] not in CANDIDATES}
+    record = spiral.simulate(
+        "oscillator", duration=3.0, rate=500.0, inputs={"force": {"noise": 1.0, "band": [2, 40]}},
+        effects=["lag"], values=values, noise_level=0.01, seed=4,
+    )  # fmt: skip
+    question = spiral.discover(
+        record, "oscillator", candidates=["lag"], settings={"max_rounds": 1}
+    ).question
+    strategy = strategy_for(question)
+    begun = strategy.begin(question, silent)
+    at, step = rank_last_round(strategy, begun.assembly, start_study(begun, 0.0), silent)
+    assert step.admitted == ("lag",)
+    at = admit_step(strategy, begun.assembly, at, step, silent)
+    state, last = at.fit_state, at.rounds[-1].comparison
+    spreads = tuple(np.full(3, 0.1) for _ in question.records)
+    state = replace(state, starts=tuple(np.zeros(3) for _ in spreads), spreads=spreads)
+    told = replace(last, contradictions=("the damper feeds the machine",))
+    step = strategy.propose(begun.assembly, state, told, 2, silent)
+    assert step.stopped == "no_candidate"

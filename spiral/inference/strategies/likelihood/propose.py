@@ -80,9 +80,9 @@ def propose(
     model's: of such motion each would be fitted for long and told of nothing. ``beyond`` : where
     none passes, what no candidate is (memory, laws, curves) is looked for.
     """
+    bare, assembly = assembly, enlarge(assembly, state.labels)
     if comparison.contradictions and _is_of_another_time(assembly, state):
         return Step((), {}, stopped="no_candidate")
-    bare, assembly = assembly, enlarge(assembly, state.labels)
     asked = RoundInput(options, bare, comparison, number, progress)
     made = excerpt_study(assembly, state)
     part = None if made is None else race_and_test(asked, *made)
