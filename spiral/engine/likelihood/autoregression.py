@@ -142,15 +142,14 @@ def _gauss_newton_step(
 ) -> Array:
     """The step of the parameters that takes most off r^T S^-1 r, with A and S held."""
     weights, left = _regression(parts, masks, order)
-    root = _inverse_root(left).T
-    columns = []
-    for j in range(slopes[0].shape[2]):
-        own = [x[:, :, j] for x in slopes]
-        rest = _chosen(own, masks)
-        if order:
-            rest = rest - _chosen([_with_past(x, order) for x in own], masks) @ weights
-        columns.append((rest @ root).ravel())
-    return np.linalg.lstsq(np.stack(columns, axis=1), (left @ root).ravel(), rcond=None)[0]
+    past = Autoregression(weights, _inverse_root(left), np.ones(left.shape[1], dtype=bool))
+    whole = [
+        past.whiten(np.concatenate([e[..., None], x], axis=2))
+        for e, x in zip(parts, slopes, strict=True)
+    ]
+    rows = _chosen(whole, masks)
+    rows = rows.reshape(-1, rows.shape[2])
+    return np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0]
 
 
 def _inverse_root(left: Array) -> Array:

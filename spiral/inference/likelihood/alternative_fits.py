@@ -85,7 +85,7 @@ def rivals_beside_less_noise(
         white = _rivals_from_fit(assembly, base, start, masks, past=True)
         rivals += [_with_base_noise_terms(base, r, masks) for r in white]
         if white and _has_slow_sensor_noise(base):
-            best = max(white, key=lambda r: _worth_beside_past(start, r, masks))
+            best = _most_beside_past(start, white, masks)
             rivals.append(_refit_rival_noise(base, best, masks, progress))
     if not is_random_force_small(base):
         progress("trying candidates beside sensor noise alone")
@@ -120,16 +120,18 @@ def _refit_rival_noise(
     return make_rival(own, base, rival.ranked, fit, rival.shapes)
 
 
-def _worth_beside_past(start: LikelihoodFit, rival: Rival, masks: Masks) -> float:
-    """What a rival is worth over the fit it started from, where both follow their own past."""
-    ours, theirs = start.estimate, rival.fit.estimate
-    if not (ours.finite and theirs.finite):
-        return -np.inf
-    order = autoregressive_order(ours.predictions, masks)
-    gain = coloured_log_likelihood(theirs, order, masks) - coloured_log_likelihood(
-        ours, order, masks
-    )
-    return gain - schwarz_penalty(len(rival.ranked.columns) + rival.shapes, theirs.prepared)
+def _most_beside_past(start: LikelihoodFit, rivals: list[Rival], masks: Masks) -> Rival:
+    """The rival that is worth most where all follow their own past, as far as ``start`` does."""
+    order = autoregressive_order(start.estimate.predictions, masks)
+
+    def worth(rival: Rival) -> float:
+        at = rival.fit.estimate
+        if not at.finite:
+            return -np.inf
+        penalty = schwarz_penalty(len(rival.ranked.columns) + rival.shapes, at.prepared)
+        return coloured_log_likelihood(at, order, masks) - penalty
+
+    return max(rivals, key=worth)
 
 
 def _rivals_from_fit(
