@@ -65,6 +65,7 @@ from spiral.inference.likelihood.seed_fit import (
 )
 from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
+from spiral.inference.nearness import unexplained_error_growth
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.accepted import (
@@ -379,16 +380,42 @@ def fit_with_effect(
     if not is_start_settled(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
     fit = _fit_shapes(own, drop_needless_noise(own, fit, progress), label)
+    early = None
     if objection is not None and fit.estimate.finite:
-        whole = compare_whole_record_fit(own, fit, (), progress)
-        refusal = objection(whole)
+        early = compare_whole_record_fit(own, fit, (), progress)
+        refusal = objection(early)
         if refusal is not None and refusal.grows:
-            return replace(whole, complete=False)
-    fit = restore_declared_interpolation(own, fit, progress)
-    fit = finish_fit(own, fit, progress, anew=True)
+            return replace(early, complete=False)
+    fit = finish_fit(own, restore_declared_interpolation(own, fit, progress), progress, anew=True)
+    whole = _without_needless_effects(own, fit, label, progress, early)
+    if early is None or not _is_led_astray(early, whole):
+        return whole
+    progress("going on with the noise model as it was, with which unseen data are predicted")
+    return _without_needless_effects(own, early.fit, label, progress, early)
+
+
+def _without_needless_effects(
+    own: Assembly, fit: LikelihoodFit, label: str, progress: Progress, early: WholeRecordFit | None
+) -> WholeRecordFit:
+    """A fit without effects that its latest makes needless, compared with its records.
+
+    ``early`` : a comparison that holds where nothing has changed since.
+    """
     fit, gone = drop_superfluous_effects(own, fit, label)
     fit, needless = replace_by_interpolation(own, fit, progress)
+    if early is not None and fit is early.fit:
+        return early
     return compare_whole_record_fit(own, fit, (*gone, *needless), progress)
+
+
+def _is_led_astray(early: WholeRecordFit, whole: WholeRecordFit) -> bool:
+    """Whether errors on unseen data grew while the noise model was looked for, more than by chance.
+
+    Beside other noise, values that the record hardly tells may go where a free run leaves all
+    bounds.
+    """
+    before, after = early.refitted.comparison, whole.refitted.comparison
+    return unexplained_error_growth(before, after, whole.assembly.problem.settings) is not None
 
 
 def _held_of_seed(assembly: Assembly, state: FitState) -> tuple[str, ...]:

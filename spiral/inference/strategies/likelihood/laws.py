@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spiral.engine.likelihood.fit import maximise_likelihood
+from spiral.engine.likelihood.noise import OWN
 from spiral.engine.likelihood.predict import total_log_likelihood
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
@@ -315,13 +316,17 @@ def _explains_all(
 ) -> bool:  # fmt: skip
     """Whether a law leaves only noise and is likelier, penalty included, than what it replaces.
 
+    A parameter's change is an effect that the catalog names: as beside any of these, something may
+    still act at random.
     One of whose values the record tells none only describes that something is needed at its place.
     """
     settings, model = assembly.problem.settings, refitted.comparison.model
     new = tuple(x for x in model.labels if x not in comparison.model.labels)
-    if not is_near_noise(refitted.comparison, settings) or undetermined_effects(
-        model, new, settings
-    ):
+    if undetermined_effects(model, new, settings):
+        return False
+    changed = any(isinstance(e, ParameterEffect) for e in model.effects if e.label in new)
+    limit = OWN if changed else settings.random_limit
+    if not is_near_noise(refitted.comparison, replace(settings, random_limit=limit)):
         return False
     if not start.gone:
         return refuse_unhelpful(options, comparison, refitted.comparison, settings) is None

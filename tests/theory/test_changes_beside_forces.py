@@ -1,0 +1,60 @@
+"""A parameter that follows a variable is named beside a flow that really acts at random."""
+
+import numpy as np
+import pytest
+
+import spiral
+from spiral.types.record import make_record
+
+DT, HELD = 10.0, 50  # s; samples for which inputs stay
+
+
+def vessel():
+    """A stirred vessel with one reaction; only its product is measured."""
+    return spiral.system(
+        ["A' = q*(Af - A) - k*A", "B' = k*A - q*B"],
+        states={"A": "mol/m^3", "B": "mol/m^3"},
+        inputs={"q": {"unit": "1/s", "interpolation": "zero_order"},
+                "T": {"unit": "K", "interpolation": "zero_order"}},
+        parameters={"Af": (2000.0, "mol/m^3"), "k": {"value": 1.6e-3, "unit": "1/s", "lower": 0}},
+        free=["k"], observed=["B"],
+    )  # fmt: skip
+
+
+def measured(seed, samples, slope):
+    """The rate grows by ``slope`` per K, and the feed varies by 120 mol/m^3 within ten minutes."""
+    rng = np.random.default_rng(seed)
+    q, warm = (np.repeat(rng.uniform(*span, samples // HELD), HELD)
+               for span in ((0.8e-3, 2.4e-3), (322.0, 342.0)))  # fmt: skip
+    keep, feed, a, b, seen = np.exp(-DT / 600), 0.0, 1000.0, 800.0, []
+    for k in range(samples):
+        seen.append(b)
+        feed = keep * feed + 120 * np.sqrt(1 - keep**2) * rng.normal()
+        rate = 1.8e-3 * np.exp(slope * (warm[k] - 332))
+        for _ in range(20):
+            a, b = (a + DT / 20 * (q[k] * (2000 + feed - a) - rate * a),
+                    b + DT / 20 * (rate * a - q[k] * b))  # fmt: skip
+    read = np.array(seen)
+    read += 0.01 * read.std() * rng.normal(size=samples)
+    return make_record(vessel(), f"r{seed}", DT * np.arange(samples), {"B": read},
+                       {"q": q, "T": warm})  # fmt: skip
+
+
+def study(seed, slope):
+    return spiral.discover(
+        measured(seed, 2000, slope), vessel(), test=measured(seed + 1, 1200, slope),
+        settings={"max_rounds": 1}, progress=False,
+    )  # fmt: skip
+
+
+def test_a_rate_that_follows_the_temperature_is_named_beside_a_random_feed():
+    run = study(1, 0.025)
+    assert len(run.missing) == 1
+    assert run.missing[0].endswith("_change@k-T")
+    assert max(run.rounds[-1].comparison.random.values()) > 0.3
+    assert "random flow" in run.summary
+
+
+@pytest.mark.parametrize("seed", [10, 12])
+def test_no_parameter_follows_anything_where_only_the_feed_varies(seed):
+    assert not study(seed, 0.0).missing
