@@ -40,10 +40,10 @@ def measured(seed, samples, slope):
                        {"q": q, "T": warm})  # fmt: skip
 
 
-def study(seed, slope):
+def study(seed, slope, progress=False):
     return spiral.discover(
         measured(seed, 2000, slope), vessel(), test=measured(seed + 1, 1200, slope),
-        settings={"max_rounds": 1}, progress=False,
+        settings={"max_rounds": 1}, progress=progress,
     )  # fmt: skip
 
 
@@ -53,6 +53,15 @@ def test_a_rate_that_follows_the_temperature_is_named_beside_a_random_feed():
     assert run.missing[0].endswith("_change@k-T")
     assert max(run.rounds[-1].comparison.random.values()) > 0.3
     assert "random flow" in run.summary
+
+
+def test_a_change_that_leads_all_candidates_is_asked_with_them():
+    """It passes in the first round, among whose suggestions are forms of the same change."""
+    said = []
+    run = study(3, 0.025, said.append)
+    assert any("score better than any candidate" in m for m in said)
+    assert not any("laws with a closed form" in m for m in said)
+    assert run.rounds[-1].admitted[0].endswith("_change@k-T")
 
 
 @pytest.mark.parametrize("seed", [10, 12])

@@ -26,8 +26,8 @@ from spiral.engine.likelihood.predict import total_log_likelihood
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks
-from spiral.inference.evidence.scoring import RankedCandidate, Ranking
-from spiral.inference.likelihood.candidates import Race, Rival
+from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
@@ -39,7 +39,6 @@ from spiral.inference.likelihood.fitting import (
     with_estimate,
 )
 from spiral.inference.likelihood.noise_selection import select_noise_model
-from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.nearness import is_moved_at_random, is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
@@ -54,13 +53,13 @@ from spiral.inference.strategies.likelihood.admission import (
     race_offered,
 )
 from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
+from spiral.inference.strategies.likelihood.changes import promising_changes, with_every_form
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import undetermined_effects
 from spiral.physics.formulas.laws import laws_of
 from spiral.types.effect import Effect, ForceEffect, ParameterEffect, StateFlow
 from spiral.types.run import Comparison
 
-_CHANGES = 5  # pairs of a parameter and what it follows, for which every form is tried
 _SEVERAL = 2  # effects admitted from which a law may stand for all of them
 
 
@@ -106,7 +105,7 @@ class PromisingChanges:
         for fit, changes in self.known:
             if fit is base:
                 return changes
-        self.known.append((base, _promising_changes(self.assembly, base, self.select)))
+        self.known.append((base, promising_changes(self.assembly, base, self.select)))
         return self.known[-1][1]
 
 
@@ -145,25 +144,6 @@ def find_named_law(
 def is_much_random(comparison: Comparison) -> bool:
     """Whether much acts at random, or is a sensor's noise with a colour: a law may hide there."""
     return max((comparison.random or {}).values(), default=0.0) > LITTLE
-
-
-def _promising_changes(
-    assembly: Assembly, base: LikelihoodFit, select: Masks
-) -> tuple[Effect, ...]:
-    """Changes of parameters with variables, of every form, where the plain forms score best.
-
-    Plain forms have no shapes to be searched: a line, a parabola, a power and an exponential show
-    what any smooth change would. A curve (``bare``) is one of the forms, and no plain one.
-    """
-    changes = assembly.problem.changes()
-    plain = tuple(e for e in changes if not e.bare and all(len(p.grid) <= 1 for p in e.parameters))
-    offered = offer_effects(assembly, plain)
-    ranked = rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
-    if ranked is None:
-        return ()
-    places = dict.fromkeys(r.variant.original.port for r in ranked.ranked)
-    best = {*itertools.islice(places, _CHANGES)}
-    return tuple(e for e in changes if e.port in best)
 
 
 def stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
@@ -243,7 +223,7 @@ def _find_law_from(
         return Refusal("it leaves more than noise, or is not likelier than what it would replace")
 
     race, ranked = contest
-    race = _with_every_form(race, ranked)
+    race = with_every_form(race, ranked)
     passed = first_to_pass(
         options, assembly, start.base, race, masks[1], level, objection, progress, start.worth
     ).passed
@@ -260,23 +240,6 @@ def _find_law_from(
     gone = tuple(x for x in gone if x != effect.label)
     refitted = replace(refitted, retired=(*refitted.retired, *gone))
     return NamedLaw(effect, passed.aliases, ranked, race.tried, refitted)
-
-
-def _with_every_form(race: Race, ranked: Ranking) -> Race:
-    """The race with every form of the change that leads it, in which some may not have taken part.
-
-    To first order all forms of a change are one: their scores do not tell which is the better.
-    """
-    leader = race.runners[0].ranked.variant.original if race.runners else None
-    if not isinstance(leader, ParameterEffect):
-        return race
-    refitted = {r.label for r in race.runners}
-    forms: dict[str, RankedCandidate] = {}
-    for each in ranked.ranked:
-        effect = each.variant.original
-        if effect.port == leader.port and effect.label not in refitted:
-            forms.setdefault(effect.label, each)
-    return race.with_candidates(tuple(forms.values()))
 
 
 def _find_equal_candidate(

@@ -28,8 +28,12 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.interpolation import likelier_interpolation_fit
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
-from spiral.inference.nearness import may_noise_stand_in
-from spiral.inference.problem import Progress, ScoreMessage
+from spiral.inference.nearness import (
+    is_near_noise,
+    leaves_less_than_noise,
+    may_noise_stand_in,
+)
+from spiral.inference.problem import Progress, ScoreMessage, Settings
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.accepted import (
     NOTHING_TRIED,
@@ -41,6 +45,7 @@ from spiral.inference.strategies.likelihood.admission import (
     benefit_objection,
     first_to_pass,
 )
+from spiral.inference.strategies.likelihood.changes import race_leading_changes
 from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.run import Comparison
@@ -159,7 +164,45 @@ def race_and_test(
         passed, tried = outcome.admitted, (*tried, *race.tried)
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
-    return TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, passed)
+    contest = TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, passed)
+    return _with_leading_change(asked, assembly, contest)
+
+
+def _with_leading_change(
+    asked: RoundInput, assembly: Assembly, contest: TestedCandidates
+) -> TestedCandidates:
+    """The contest with a parameter's change in place of what passed, where that is far likelier.
+
+    None is asked where the effect that passed leaves nothing.
+    """
+    options, passed, settings = asked.options, contest.passed, assembly.problem.settings
+    if not options.laws or len(passed) > 1:
+        return contest
+    if passed and _leaves_nothing(passed[0].whole.refitted.comparison, settings):
+        return contest
+    led = race_leading_changes(
+        assembly, contest.base, contest.scored.ranking, contest.masks[0], asked.progress,
+        options.rivals,
+    )  # fmt: skip
+    if led is None:
+        return contest
+    least = passed[0].rival.worth + np.log(options.odds) if passed else 0.0
+    outcome = first_to_pass(
+        options, assembly, contest.base, led[0], contest.masks[1], asked.level(), asked.helps(),
+        asked.progress, float(least),
+    )  # fmt: skip
+    if outcome.passed is None:
+        return contest
+    scored = ScoredRound(led[1], led[0].tried)
+    return replace(contest, scored=scored, outcome=outcome, passed=outcome.admitted)
+
+
+def _leaves_nothing(last: Comparison, settings: Settings) -> bool:
+    """Whether noise explains all that a model leaves, and its free run errs by no more than that.
+
+    A free run that random forces or uncertain values excuse may still hide what is missing.
+    """
+    return is_near_noise(last, settings) and leaves_less_than_noise(last.test_error, last, settings)
 
 
 def _likelier_instead(assembly: Assembly, state: FitState, outcome: RaceOutcome) -> FitState | None:

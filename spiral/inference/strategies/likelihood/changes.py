@@ -1,0 +1,85 @@
+"""Changes of parameters with variables: those that score best, and those that lead.
+
+A change may stand for many an effect, and is asked after the catalog. It is asked at once where it
+scores better than every candidate and the best of these leaves more than noise: the truth, where
+the catalog has it, is outdone by no change (a stiffness that follows its own deflection is a
+quadratic spring), and what stands in for a change is.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.fit_state import Masks
+from spiral.inference.evidence.scoring import RankedCandidate, Ranking
+from spiral.inference.likelihood.candidates import Race
+from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.inference.likelihood.scores import rank_variants
+from spiral.inference.problem import Progress
+from spiral.inference.strategies.likelihood.admission import offer_effects, race_offered
+from spiral.types.effect import Effect, ParameterEffect
+
+_CHANGES = 5  # pairs of a parameter and what it follows, for which every form is tried
+_LEADING = 2  # of these where they lead
+
+
+def promising_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> tuple[Effect, ...]:
+    """Changes of parameters with variables, of every form, where the plain forms score best.
+
+    A curve (``bare``) is one of the forms, and no plain one.
+    """
+    ranked = _rank_plain_changes(assembly, base, select)
+    if ranked is None:
+        return ()
+    places = dict.fromkeys(r.variant.original.port for r in ranked.ranked)
+    best = {*itertools.islice(places, _CHANGES)}
+    return tuple(e for e in assembly.problem.changes() if e.port in best)
+
+
+def race_leading_changes(
+    assembly: Assembly, base: LikelihoodFit, candidates: Ranking, select: Masks,
+    progress: Progress, most: int,
+) -> tuple[Race, Ranking] | None:  # fmt: skip
+    """The race of changes where one scores better than every candidate; nothing where none does."""
+    ranked = _rank_plain_changes(assembly, base, select)
+    if ranked is None:
+        return None
+    least = min((r.rank for r in candidates.ranked), default=0.0)
+    leading = (r.variant.original.port for r in ranked.ranked if r.rank < min(least, 0.0))
+    best = {*itertools.islice(dict.fromkeys(leading), _LEADING)}
+    forms = tuple(e for e in assembly.problem.changes() if e.port in best and not e.bare)
+    if not forms:
+        return None
+    progress("trying changes of parameters that score better than any candidate")
+    contest = race_offered(offer_effects(assembly, forms), base, select, progress, most)
+    return None if contest is None else (with_every_form(*contest), contest[1])
+
+
+def _rank_plain_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> Ranking | None:
+    """Plain forms of all changes by their score.
+
+    They have no shapes to be searched: a line, a parabola, a power and an exponential show what any
+    smooth change would.
+    """
+    changes = assembly.problem.changes()
+    plain = tuple(e for e in changes if not e.bare and all(len(p.grid) <= 1 for p in e.parameters))
+    offered = offer_effects(assembly, plain)
+    return rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
+
+
+def with_every_form(race: Race, ranked: Ranking) -> Race:
+    """The race with every form of the change that leads it, in which some may not have taken part.
+
+    To first order all forms of a change are one: their scores do not tell which is the better.
+    """
+    leader = race.runners[0].ranked.variant.original if race.runners else None
+    if not isinstance(leader, ParameterEffect):
+        return race
+    refitted = {r.label for r in race.runners}
+    forms: dict[str, RankedCandidate] = {}
+    for each in ranked.ranked:
+        effect = each.variant.original
+        if effect.port == leader.port and effect.label not in refitted:
+            forms.setdefault(effect.label, each)
+    return race.with_candidates(tuple(forms.values()))
