@@ -173,12 +173,13 @@ def _with_leading_change(
 ) -> TestedCandidates:
     """The contest with a parameter's change in place of what passed, where that is far likelier.
 
-    None is asked where the effect that passed leaves nothing.
+    None is asked where the model, with what passed, leaves nothing.
     """
     options, passed, settings = asked.options, contest.passed, assembly.problem.settings
     if not options.laws or len(passed) > 1:
         return contest
-    if passed and _leaves_nothing(passed[0].whole.refitted.comparison, settings):
+    last = passed[0].whole.refitted.comparison if passed else asked.comparison
+    if _leaves_nothing(last, settings):
         return contest
     led = race_leading_changes(
         assembly, contest.base, contest.scored.ranking, contest.masks[0], asked.progress,
