@@ -9,6 +9,7 @@ quadratic spring), and what stands in for a change is.
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass, field
 
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import Masks
@@ -24,36 +25,54 @@ _CHANGES = 5  # pairs of a parameter and what it follows, for which every form i
 _LEADING = 2  # of these where they lead
 
 
-def promising_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> tuple[Effect, ...]:
-    """Changes of parameters with variables, of every form, where the plain forms score best.
+@dataclass(frozen=True)
+class PromisingChanges:
+    """Changes of parameters by their score beside any model of a study, computed once for each.
 
-    A curve (``bare``) is one of the forms, and no plain one.
+    Candidates, laws and curves ask for them beside the same model.
     """
-    ranked = _rank_plain_changes(assembly, base, select)
-    if ranked is None:
-        return ()
-    places = dict.fromkeys(r.variant.original.port for r in ranked.ranked)
-    best = {*itertools.islice(places, _CHANGES)}
-    return tuple(e for e in assembly.problem.changes() if e.port in best)
 
+    assembly: Assembly
+    select: Masks
+    known: list[tuple[LikelihoodFit, Ranking | None, tuple[Effect, ...]]] = field(
+        default_factory=list
+    )
 
-def race_leading_changes(
-    assembly: Assembly, base: LikelihoodFit, candidates: Ranking, select: Masks,
-    progress: Progress, most: int,
-) -> tuple[Race, Ranking] | None:  # fmt: skip
-    """The race of changes where one scores better than every candidate; nothing where none does."""
-    ranked = _rank_plain_changes(assembly, base, select)
-    if ranked is None:
-        return None
-    least = min((r.rank for r in candidates.ranked), default=0.0)
-    leading = (r.variant.original.port for r in ranked.ranked if r.rank < min(least, 0.0))
-    best = {*itertools.islice(dict.fromkeys(leading), _LEADING)}
-    forms = tuple(e for e in assembly.problem.changes() if e.port in best and not e.bare)
-    if not forms:
-        return None
-    progress("trying changes of parameters that score better than any candidate")
-    contest = race_offered(offer_effects(assembly, forms), base, select, progress, most)
-    return None if contest is None else (with_every_form(*contest), contest[1])
+    def beside(self, base: LikelihoodFit) -> tuple[Effect, ...]:
+        """Changes of every form at the places that score best beside a model.
+
+        A curve (``bare``) is one of the forms, and no plain one.
+        """
+        return self._score_beside(base)[1]
+
+    def _score_beside(self, base: LikelihoodFit) -> tuple[Ranking | None, tuple[Effect, ...]]:
+        for fit, ranked, changes in self.known:
+            if fit is base:
+                return ranked, changes
+        ranked = _rank_plain_changes(self.assembly, base, self.select)
+        places = () if ranked is None else (r.variant.original.port for r in ranked.ranked)
+        best = {*itertools.islice(dict.fromkeys(places), _CHANGES)}
+        changes = tuple(e for e in self.assembly.problem.changes() if e.port in best)
+        self.known.append((base, ranked, changes))
+        return ranked, changes
+
+    def race_leading(
+        self, base: LikelihoodFit, candidates: Ranking, progress: Progress, most: int
+    ) -> tuple[Race, Ranking] | None:
+        """The race of changes where one scores better than every candidate; else nothing."""
+        ranked, changes = self._score_beside(base)
+        if ranked is None:
+            return None
+        least = min((r.rank for r in candidates.ranked), default=0.0)
+        leading = (r.variant.original.port for r in ranked.ranked if r.rank < min(least, 0.0))
+        best = {*itertools.islice(dict.fromkeys(leading), _LEADING)}
+        forms = tuple(e for e in changes if e.port in best and not e.bare)
+        if not forms:
+            return None
+        progress("trying changes of parameters that score better than any candidate")
+        offered = offer_effects(self.assembly, forms)
+        contest = race_offered(offered, base, self.select, progress, most)
+        return None if contest is None else (with_every_form(*contest), contest[1])
 
 
 def _rank_plain_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> Ranking | None:

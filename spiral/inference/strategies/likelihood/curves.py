@@ -48,8 +48,8 @@ from spiral.inference.strategies.likelihood.admission import (
     race_offered,
 )
 from spiral.inference.strategies.likelihood.benefit import Refusal
+from spiral.inference.strategies.likelihood.changes import PromisingChanges
 from spiral.inference.strategies.likelihood.laws import (
-    PromisingChanges,
     fit_without,
     full_log_likelihood,
     stand_in_labels,

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,7 +53,7 @@ from spiral.inference.strategies.likelihood.admission import (
     race_offered,
 )
 from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
-from spiral.inference.strategies.likelihood.changes import promising_changes, with_every_form
+from spiral.inference.strategies.likelihood.changes import PromisingChanges, with_every_form
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import undetermined_effects
 from spiral.physics.formulas.laws import laws_of
@@ -87,26 +87,6 @@ class _LawStart:
     log_likelihood: float = -np.inf
     state: FitState | None = None
     worth: float = 0.0
-
-
-@dataclass(frozen=True)
-class PromisingChanges:
-    """Changes of parameters that score best beside any model of a study, computed once for each.
-
-    Laws and curves ask for them beside the same model.
-    """
-
-    assembly: Assembly
-    select: Masks
-    known: list[tuple[LikelihoodFit, tuple[Effect, ...]]] = field(default_factory=list)
-
-    def beside(self, base: LikelihoodFit) -> tuple[Effect, ...]:
-        """The changes that score best beside a model."""
-        for fit, changes in self.known:
-            if fit is base:
-                return changes
-        self.known.append((base, promising_changes(self.assembly, base, self.select)))
-        return self.known[-1][1]
 
 
 def find_named_law(
@@ -279,9 +259,9 @@ def _explains_all(
 ) -> bool:  # fmt: skip
     """Whether a law leaves only noise and is likelier, penalty included, than what it replaces.
 
+    One of whose values the record tells none only describes that something is needed at its place.
     A parameter's change is an effect that the catalog names: as beside any of these, something may
     still act at random.
-    One of whose values the record tells none only describes that something is needed at its place.
     """
     settings, model = assembly.problem.settings, refitted.comparison.model
     new = tuple(x for x in model.labels if x not in comparison.model.labels)

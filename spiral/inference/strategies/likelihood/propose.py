@@ -41,13 +41,13 @@ from spiral.inference.strategies.likelihood.admission import (
     finish_fit,
     fit_with_effect,
 )
+from spiral.inference.strategies.likelihood.changes import PromisingChanges
 from spiral.inference.strategies.likelihood.curves import (
     MissingCurve,
     find_equal_curve,
     find_missing_curve,
 )
 from spiral.inference.strategies.likelihood.laws import (
-    PromisingChanges,
     find_named_law,
     is_much_random,
 )
@@ -103,7 +103,7 @@ def propose(
     step = Step(listed[: options.listed], contest.outcome.rejected, stopped=ending, result=scored)
     return _step_without_candidate(
         options, assembly, state, contest.base, step, comparison, contest.masks,
-        asked.level(), number, progress, beyond,
+        contest.changes, asked.level(), number, progress, beyond,
     )  # fmt: skip
 
 
@@ -130,8 +130,8 @@ def _decided_step(
 
 def _step_without_candidate(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
-    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
-    number: int, progress: Progress, beyond: bool,
+    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks],
+    changes: PromisingChanges, level: float, number: int, progress: Progress, beyond: bool,
 ) -> Step[ScoredRound]:  # fmt: skip
     """The step where no candidate passes: other noise, then what no candidate is, then waves.
 
@@ -145,7 +145,7 @@ def _step_without_candidate(
         left = step
         if beyond:
             left = _step_for_unexplained(
-                options, assembly, state, base, step, comparison, masks, level, progress
+                options, assembly, state, base, step, comparison, masks, changes, level, progress
             )
         other = refit_with_resonant_force(assembly, state, progress) if left is step else None
         if other is None:
@@ -174,14 +174,14 @@ def _admitting_step(
 
 def _step_for_unexplained(
     options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
-    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks], level: float,
-    progress: Progress,
+    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks],
+    changes: PromisingChanges, level: float, progress: Progress,
 ) -> Step[ScoredRound]:  # fmt: skip
     """The step where no candidate passes: a force with memory, a law or a curve is tried."""
     memory = find_missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
-    white, changes = step.stopped == "whiteness", PromisingChanges(assembly, masks[0])
+    white = step.stopped == "whiteness"
     law = find_named_law(
         options, assembly, state, base, white, comparison, masks, level, changes, progress
     )

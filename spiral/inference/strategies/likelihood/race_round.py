@@ -45,7 +45,7 @@ from spiral.inference.strategies.likelihood.admission import (
     benefit_objection,
     first_to_pass,
 )
-from spiral.inference.strategies.likelihood.changes import race_leading_changes
+from spiral.inference.strategies.likelihood.changes import PromisingChanges
 from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.run import Comparison
@@ -92,6 +92,7 @@ class TestedCandidates:
 
     base: LikelihoodFit
     masks: tuple[Masks, Masks]
+    changes: PromisingChanges
     scored: ScoredRound
     outcome: RaceOutcome = NOTHING_TRIED
     passed: tuple[AcceptedCandidate, ...] = ()
@@ -108,6 +109,7 @@ def race_and_test_beyond(
     would have been as much on the excerpt. What the whole records have refused is not asked again.
     """
     masks, settings = half_masks(assembly), assembly.problem.settings
+    changes = PromisingChanges(assembly, masks[0])
     scored = _score_candidates(assembly, state, masks[0])
     if scored is None:
         return None
@@ -119,7 +121,7 @@ def race_and_test_beyond(
     least = settings.smallest**2 * readings
     promising = [r for r in ranked.ranked if r.score.gain >= least]
     if not promising:
-        return replace(part, base=base, masks=masks)
+        return replace(part, base=base, masks=masks, changes=changes)
     race = start_race(assembly, base, promising, masks[0], asked.progress, asked.options.rivals)
     outcome = first_to_pass(
         asked.options, assembly, base, race, masks[1], asked.level(), asked.helps(),
@@ -128,7 +130,7 @@ def race_and_test_beyond(
     passed = outcome.admitted
     if len(passed) == 1:
         passed = (prefer_special_case(asked.options, passed[0], asked.progress),)
-    return TestedCandidates(base, masks, ScoredRound(ranked, race.tried), outcome, passed)
+    return TestedCandidates(base, masks, changes, ScoredRound(ranked, race.tried), outcome, passed)
 
 
 def race_and_test(
@@ -137,6 +139,7 @@ def race_and_test(
     """Race and test the candidates in a study; nothing where its filter diverges."""
     options, progress = asked.options, asked.progress
     masks = half_masks(assembly)
+    changes = PromisingChanges(assembly, masks[0])
     begun = _race_candidates(options, assembly, state, masks[0], progress, _score_message)
     if begun is None:
         return None
@@ -144,7 +147,7 @@ def race_and_test(
     least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
         there = whole_state(assembly, other.state)
-        return TestedCandidates(base, masks, ScoredRound(ranked, ()), other=there)
+        return TestedCandidates(base, masks, changes, ScoredRound(ranked, ()), other=there)
     level, helps = asked.level(), asked.helps()
     race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
     quiet = functools.cache(lambda: rivals_beside_less_noise(assembly, base, masks[0], progress))
@@ -153,7 +156,9 @@ def race_and_test(
     outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
     passed, tried = outcome.admitted, race.tried
     if not passed and (there := _likelier_instead(assembly, state, outcome)) is not None:
-        return TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, other=there)
+        return TestedCandidates(
+            base, masks, changes, ScoredRound(ranked, tried), outcome, other=there
+        )
     if not passed and outcome.likely is not None:
         passed = _find_second_effect(asked, outcome.likely, assembly.excerpt is not None)
     if not passed:
@@ -164,7 +169,7 @@ def race_and_test(
         passed, tried = outcome.admitted, (*tried, *race.tried)
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
-    contest = TestedCandidates(base, masks, ScoredRound(ranked, tried), outcome, passed)
+    contest = TestedCandidates(base, masks, changes, ScoredRound(ranked, tried), outcome, passed)
     return _with_leading_change(asked, assembly, contest)
 
 
@@ -181,10 +186,9 @@ def _with_leading_change(
     last = passed[0].whole.refitted.comparison if passed else asked.comparison
     if _leaves_nothing(last, settings):
         return contest
-    led = race_leading_changes(
-        assembly, contest.base, contest.scored.ranking, contest.masks[0], asked.progress,
-        options.rivals,
-    )  # fmt: skip
+    led = contest.changes.race_leading(
+        contest.base, contest.scored.ranking, asked.progress, options.rivals
+    )
     if led is None:
         return contest
     least = passed[0].rival.worth + np.log(options.odds) if passed else 0.0
