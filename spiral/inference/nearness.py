@@ -17,7 +17,8 @@ forces beside the model random, both would come to the same values.
 (Q - m) / N is about the share of what is left that its own past predicts: below s^2 it is smaller
 than the smallest effect that counts. Colour is harmless, too, where up to a quarter of what is left
 is told by its own past and less than s^2 by motion and inputs beside that
-(``likelihood.independence``): it is the noise that is not quite as it was modelled. Where a
+(``likelihood.independence``): it is the noise that is not quite as it was modelled. Both are shares
+of the sensors' noise, of which misses beside noise that its past predicts are a small part. Where a
 filter's likelihood is the evidence chi2 is that of the innovations; with ``strategy=innovation``
 the test error is not asked: process noise moves what runs freely.
 """

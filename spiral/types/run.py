@@ -89,7 +89,7 @@ class Comparison(Readable):
     disturbed : error of the test's free run to be expected from random forces.
     uncertain : the same from the uncertainty of parameters and initial state.
     drifting : the same from sensors that drift, or whose noise lasts long.
-    followed : share of a coloured residual that motion and inputs explain.
+    followed : share of the sensors' noise that motion and inputs explain of a coloured residual.
     between : how inputs are interpolated.
     traces : the time series behind it; not saved.
     """

@@ -49,6 +49,21 @@ def test_the_share_that_follows_the_motion_is_told(seed):
     assert _channel_explained_share(e[_PAST:], past, moved) == pytest.approx(1 / 21, abs=0.02)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_motion_explains_beside_a_sharp_filter_is_a_share_of_the_noise(seed):
+    """e = noise without a part above an eighth of the rate, of unit variance, + s of variance q.
+
+    Of what the past leaves s is nearly all, of e it is q.
+    """
+    rng, q = np.random.default_rng(seed), 1e-4
+    spectrum = np.fft.rfft(rng.normal(size=N))
+    spectrum[N // 8 :] = 0.0
+    noise, s = np.fft.irfft(spectrum, N), rng.normal(size=N)
+    e = noise / noise.std() + np.sqrt(q) * s
+    past, moved = _columns(e, s)
+    assert _channel_explained_share(e[_PAST:], past, moved) == pytest.approx(q, rel=0.5)
+
+
 def _record(seed):
     """m x'' + c x' + k x = u + random force, its reading beside noise of a steep low-pass."""
     rng = np.random.default_rng(seed)
@@ -89,9 +104,13 @@ def test_records_of_one_study_have_the_same_columns_whatever_stands_still_in_one
 
 @pytest.mark.slow
 def test_a_random_force_beside_an_anti_alias_filter_is_nothing_missing():
-    candidates = ["cubic_stiffness", "quadratic_damping"]
-    run = spiral.discover(_record(3), Oscillator(), test=_record(4), candidates=candidates)
+    """Next to nothing of what is left follows the motion: no other noise is looked for."""
+    candidates, said = ["cubic_stiffness", "quadratic_damping"], []
+    run = spiral.discover(
+        _record(3), Oscillator(), test=_record(4), candidates=candidates, progress=said.append
+    )
     assert (run.verdict, run.missing) == ("nothing_missing", ())
+    assert "trying a random force around a frequency" not in said
     assert run.rounds[-1].comparison.followed < 0.01
 
 

@@ -28,19 +28,26 @@ _FIRST, _FACTOR = 1e-4, 3.0  # least level that is tried, and from one to the ne
 
 
 def larger_forces(at: MaximumLikelihood) -> tuple[NoiseModel, ...]:
-    """The noise with each white force as large as the records would not show, the others kept."""
-    forces = (t for t in at.noise.terms if t.kind == "force")
-    return tuple(at.noise.with_values({t.size: _largest_level(at, t.size)}) for t in forces)
+    """The noise with each white force as large as the records would not show, the others kept.
+
+    Without forces that are as large already.
+    """
+    forces = (t.size for t in at.noise.terms if t.kind == "force")
+    levels = ((size, _largest_level(at, size)) for size in forces)
+    return tuple(
+        at.noise.with_values({size: level})
+        for size, level in levels
+        if level > at.noise.values[size]
+    )
 
 
 def hidden_force_spread(
-    task: FilterInput, settings: FilterSettings, noise: NoiseModel, larger: Sequence[NoiseModel]
+    task: FilterInput, settings: FilterSettings, known: Array, larger: Sequence[NoiseModel]
 ) -> Array:
-    """(samples, channels) that ``larger_forces`` may add to a free run, as ``free_spread`` does."""
-    known = free_spread(task, settings, noise) ** 2
+    """(samples, channels) that ``larger_forces`` may add to a spread ``known`` of a free run."""
     most = np.zeros_like(known)
     for other in larger:
-        most = np.maximum(most, free_spread(task, settings, other) ** 2 - known)
+        most = np.maximum(most, free_spread(task, settings, other) ** 2 - known**2)
     return np.sqrt(most)
 
 

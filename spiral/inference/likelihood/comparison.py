@@ -213,13 +213,15 @@ def _free_run_uncertainty(
         first = run.settled[r]
         own, settings = filter_prepared(replace(task, moved=tuple(estimate.keys)), ())
         settings = replace(settings, start=begin)
-        forces.append(free_spread(own, settings, noise)[first:] ** 2)
+        spread = free_spread(own, settings, noise)
+        forces.append(spread[first:] ** 2)
         values = free_doubt(task, begin, estimate.keys, estimate.covariance, estimate.noise, first)
         if run.is_lost(r) and estimate.keys:
             doubting = _doubting_filter(task, (), _told_errors(estimate), estimate)
             grown = doubt_along_readings(*doubting, estimate.noise, first)
             values = np.maximum(values, grown)
-        unseen = hidden_force_spread(own, settings, estimate.noise, larger)[first:]
+        known = spread if estimate.noise is noise else free_spread(own, settings, estimate.noise)
+        unseen = hidden_force_spread(own, settings, known, larger)[first:]
         doubts.append(values**2 + unseen**2)
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (
@@ -240,10 +242,12 @@ def _residual_fields(assembly: Assembly, fit: LikelihoodFit, own: FreeRun) -> di
     if not estimate.finite:
         return told | {"whiteness_p": 0.0, "whiteness_effect": np.inf}
     seen = innovation_whiteness(assembly, fit)
-    told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * _innovation_share(estimate)}
+    shares = _innovation_shares(estimate)
+    told |= {"whiteness_p": seen.p, "whiteness_effect": seen.effect * min(_mean(shares), 1.0)}
     if seen.p >= assembly.problem.settings.whiteness_level:
         return told
-    return told | {"followed": motion_explained_share(fit, own)}
+    followed = motion_explained_share(fit, own) * np.minimum(shares, 1.0)
+    return told | {"followed": float(followed.max())}
 
 
 def _settling_time(other: Assembly, known: float | None, task: FilterInput) -> float:
@@ -392,11 +396,11 @@ def _declared_noise_ratio(records: Sequence[Record], noise: NoiseModel | None) -
     return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
 
 
-def _innovation_share(estimate: MaximumLikelihood) -> float:
-    """Variance of the misses over that of the sensors' noise, mean over channels, at most 1.
+def _innovation_shares(estimate: MaximumLikelihood) -> Array:
+    """(channels,) variance of the misses over that of the sensor's noise.
 
     Coloured noise that its own past predicts leaves small misses: what is left of its colour in
-    them is a share of these, and as much smaller a share of the noise.
+    them, or follows the motion, is a share of these, and as much smaller a share of the noise.
     """
     task, noise = estimate.prepared[0][0], estimate.noise
     shares = []
@@ -404,7 +408,7 @@ def _innovation_share(estimate: MaximumLikelihood) -> float:
         misses = np.concatenate([p.misses[:, j] for p in estimate.predictions])
         size = sum(noise.values.get(f"{k}.{name}", 0.0) ** 2 for k in STATIONARY)
         shares.append(float(np.mean(misses**2)) / size if size > 0 else 1.0)
-    return min(_mean(shares), 1.0)
+    return np.array(shares)
 
 
 def _mean_error(run: FreeRun, names: tuple[str, ...]) -> float:

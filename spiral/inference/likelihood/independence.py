@@ -9,7 +9,9 @@ standard deviations from its mean,
     e_t = sum_k a_k e_(t-k) + sum_j b_j f_j(s_t, s_(t-1), ...) + r'_t
 
 f being s at a few lags, its square, cube and a rounded sign. The share of e that f explains beside
-the past is 1 - |r'|^2 / |r|^2, less what as many columns explain by chance.
+the past is (|r|^2 - |r'|^2) / |e|^2, less what as many columns explain by chance. It is one of e,
+as that of the past is: of noise behind a sharp filter next to nothing is left beside its past, and
+what motion explains of that is no effect.
 
 A free run knows nothing of the noise. Readings that a filter predicts have all past noise in them,
 and tell of it what a few past misses do not: they stand for the motion only where the free run
@@ -37,11 +39,10 @@ _HALF = 0.5  # of the motion, which a free run that stands for it misses at most
 _READINGS = 20  # for each column, at least
 
 
-def motion_explained_share(fit: LikelihoodFit, motion: FreeRun) -> float:
-    """Share of whitened innovations that motion and inputs explain beyond their past.
+def motion_explained_share(fit: LikelihoodFit, motion: FreeRun) -> Array:
+    """(channels,) share of whitened innovations that motion and inputs explain beyond their past.
 
-    The largest over channels; infinite where records are too short to tell. ``motion`` : the free
-    run of the fitted records.
+    Infinite where records are too short to tell. ``motion`` : the free run of the fitted records.
     """
     at = fit.estimate
     rows = [
@@ -50,8 +51,8 @@ def motion_explained_share(fit: LikelihoodFit, motion: FreeRun) -> float:
     ]
     misses, past, moved = (np.concatenate(x) for x in zip(*rows, strict=True))
     if not len(misses) > _READINGS * (past.shape[1] + moved.shape[1]):
-        return np.inf
-    return max(_channel_explained_share(column, past, moved) for column in misses.T)
+        return np.full(misses.shape[1], np.inf)
+    return np.array([_channel_explained_share(column, past, moved) for column in misses.T])
 
 
 def _told_motion(run: FreeRun, record: int) -> Array | None:
@@ -70,8 +71,9 @@ def _channel_explained_share(miss: Array, past: Array, moved: Array) -> float:
         return 0.0
     x, y = np.column_stack([past, moved])[seen], miss[seen]
     before, after = (least_squares(a, y) for a in (past[seen], x))
-    chance = (after.parameters - before.parameters) / len(y)
-    return max(1.0 - after.rss / before.rss - chance, 0.0) if before.rss > 0 else 0.0
+    chance = (after.parameters - before.parameters) / len(y) * before.rss
+    total = float(y @ y)
+    return max((before.rss - after.rss - chance) / total, 0.0) if total > 0 else 0.0
 
 
 def _regression_rows(

@@ -12,7 +12,7 @@ into what each explains, and the largest peaks, refined, are candidates like all
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,6 +54,7 @@ from spiral.types.record import Array
 from spiral.types.system import varied_key
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
+_STRETCH = 8192  # samples over which a candidate's signature is evaluated at once
 _HUGE = 1e60  # a slope from which one is no number: own states that run away
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
 _STEP = 1e-5  # of an input's largest value, or a parameter, for the slopes of the rates by it
@@ -247,24 +248,58 @@ def _drop_nonfinite_groups(
 def _prediction_slopes(
     filtered: FilteredRecords, record: int, groups: Sequence[CandidateColumns]
 ) -> Array:
-    """Slopes of predictions by the candidates' amplitudes at zero, (samples, channels, columns)."""
+    """Slopes of predictions by the candidates' amplitudes at zero, (samples, channels, columns).
+
+    Some candidates at a time, each over as many samples at once as there is room for: an effect's
+    equation costs more to call than to evaluate.
+    """
+    task, part = filtered.tasks[record], filtered.parts[record]
+    owns = _own_states_by_label(filtered.motions[record], task.series.dt, groups)
+    samples, m = part.misses.shape
+    by_amplitude = np.zeros((samples, m, sum(len(g.keys) for g in groups)))
+    most = max(_ROOM // ((len(task.states) + m) * min(samples, _STRETCH)), 1)
+    first = 0
+    for some in _batches(groups, most):
+        last = first + sum(len(g.keys) for g in some)
+        by_amplitude[:, :, first:last] = _batch_slopes(filtered, record, some, owns)
+        first = last
+    return by_amplitude
+
+
+def _batches(groups: Sequence[CandidateColumns], most: int) -> Iterator[list[CandidateColumns]]:
+    """The groups in their order, in batches of at most so many columns, or of one group."""
+    batch: list[CandidateColumns] = []
+    for group in groups:
+        if batch and sum(len(g.keys) for g in batch) + len(group.keys) > most:
+            yield batch
+            batch = []
+        batch.append(group)
+    if batch:
+        yield batch
+
+
+def _batch_slopes(
+    filtered: FilteredRecords,
+    record: int,
+    groups: Sequence[CandidateColumns],
+    owns: Mapping[str, Own],
+) -> Array:
+    """As ``_prediction_slopes``, of some candidates whose own states are known."""
     from spiral.engine.likelihood.signatures_kernel import propagate_signatures
 
     task, part = filtered.tasks[record], filtered.parts[record]
-    along, dt = filtered.motions[record], task.series.dt
-    owns = _own_states_by_label(along, dt, groups)
-    samples, m = part.misses.shape
+    along, samples, m = filtered.motions[record], *part.misses.shape
     width, n = sum(len(g.keys) for g in groups), len(task.states)
     by_amplitude = np.zeros((samples, m, width))
     slopes = np.zeros((part.means.shape[1], width))
-    chunk = max(_ROOM // max((n + m) * width, 1), 256)
+    chunk = max(_ROOM // ((n + m) * width), 256)
     for first in range(0, samples, chunk):
         last = min(first + chunk, samples)
         where = slice(first, min(last + 1, samples))
         pushes, readings = _signature_columns(along.part(where), groups, owns, where, record, width)
         propagate_signatures(
             part.transitions[first:last], part.gains[first:last], part.rows[first:last],
-            pushes, readings, slopes, 0.5 * dt, by_amplitude[first:last],
+            pushes, readings, slopes, 0.5 * task.series.dt, by_amplitude[first:last],
         )  # fmt: skip
     return by_amplitude
 

@@ -136,7 +136,8 @@ def _step_without_candidate(
     """The step where no candidate passes: other noise, then what no candidate is, then waves.
 
     Beside waves candidates are asked once more. What no candidate is was not found where more was
-    left to explain, and is not looked for again.
+    left to explain, and is not looked for again. Beside a model that is near its noise waves would
+    explain colour of which next to nothing follows the motion: no effect that counts is behind it.
     """
     other = refit_with_smaller_forces(assembly, state, progress)
     if other is None:
@@ -147,7 +148,9 @@ def _step_without_candidate(
             left = _step_for_unexplained(
                 options, assembly, state, base, step, comparison, masks, changes, level, progress
             )
-        other = refit_with_resonant_force(assembly, state, progress) if left is step else None
+        if left is not step or step.stopped == "whiteness":
+            return left
+        other = refit_with_resonant_force(assembly, state, progress)
         if other is None:
             return left
         beyond = False
