@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from spiral.engine.series import rates_per_sample
+from spiral.engine.series import rates_per_sample, without_white_noise
 from spiral.types.parameter import HELD, Input
 from spiral.types.placement import input_columns
 from spiral.types.record import Array, integrate_derived_inputs
@@ -97,6 +97,7 @@ def _between_samples(item: Input, rows: Array, substeps: int) -> InputColumn:
         return _stepped_column(dense[: (len(rows) - 1) * finer + 1], substeps)
     from scipy.interpolate import CubicSpline
 
+    rows = without_white_noise(rows) if item.interpolation == "denoised" else rows
     pieces = CubicSpline(np.arange(len(rows), dtype=float), rows, axis=0).c[::-1]
     ends = [rows[-1:], *(np.zeros_like(rows[-1:]) for _ in pieces[1:])]
     return InputColumn(tuple(np.concatenate(pair) for pair in zip(pieces, ends, strict=True)))

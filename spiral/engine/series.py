@@ -285,7 +285,33 @@ def interpolate_input(values: Array, coarse: Array, fine: Array, how: Interpolat
         return dense[: len(fine)]
     from scipy.interpolate import CubicSpline
 
+    values = without_white_noise(values) if how == "denoised" else values
     return CubicSpline(coarse, values)(fine)
+
+
+def without_white_noise(values: Array) -> Array:
+    """Samples (samples, ...) without white noise of deviation s (``estimate_noise``).
+
+    By the filter of Wiener (1949): of each frequency the share 1 - c s^2 / P(f) is kept, none where
+    that is negative, P being Welch's estimate of the spectrum (white noise has s^2) and c two of
+    its standard errors above one.
+    """
+    from scipy.signal import welch
+
+    count = len(values)
+    if count < 64:  # no spectrum to tell them apart by
+        return values
+    if values.ndim > 1:
+        return np.stack([without_white_noise(v) for v in values.T], axis=-1)
+    width = min(max(count // 32, 64), 1024)
+    frequency, power = welch(values, nperseg=width)
+    most = 2.0 * estimate_noise(values) ** 2 * (1.0 + 2.0 * np.sqrt(width / count))  # one-sided
+    kept = np.clip(1.0 - most / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
+    kept[0] = 1.0
+    before, after = values[width:0:-1], values[-2 : -width - 2 : -1]
+    longer = np.concatenate([2 * values[0] - before, values, 2 * values[-1] - after])
+    share = np.interp(np.fft.rfftfreq(len(longer)), frequency, kept)
+    return np.fft.irfft(share * np.fft.rfft(longer), len(longer))[width : width + count]
 
 
 def rate_per_sample(values: Array, coarse: Array, fine: Array) -> Array:

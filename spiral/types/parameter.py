@@ -100,7 +100,7 @@ class State:
 
 
 Interpolation = Literal[
-    "smooth", "band_limited", "linear",
+    "smooth", "band_limited", "linear", "denoised",
     "zero_order", "zero_order_1", "zero_order_2", "zero_order_3",
 ]  # fmt: skip
 
@@ -108,6 +108,7 @@ BETWEEN: dict[Interpolation, str] = {
     "smooth": "a cubic spline through the samples",
     "band_limited": "a band-limited signal through the samples",
     "linear": "straight lines through the samples",
+    "denoised": "a cubic spline through the samples without their white noise",
     "zero_order": "held until the next sample",
     "zero_order_1": "held until the next sample, one sample late",
     "zero_order_2": "held until the next sample, two samples late",
@@ -126,7 +127,8 @@ class Input:
     """A known input, and how it is interpolated between samples.
 
     ``smooth`` is a cubic spline (speed, phase), ``band_limited`` a polyphase FIR interpolation
-    (a measured force), ``linear`` straight lines, ``zero_order`` holds each value until the next
+    (a measured force), ``linear`` straight lines, ``denoised`` a spline through samples that white
+    noise was taken from (a measured voltage), ``zero_order`` holds each value until the next
     sample, ``zero_order_1`` from the next one on (a controller's command that acts in its next
     cycle; also ``_2`` and ``_3``). A record may say otherwise (``record.hold``); where none does,
     the default strategy takes the most likely of them. ``derived_from`` names another input that

@@ -233,7 +233,8 @@ def check_system_units(system: MechanicalSystem) -> None:
         flows = system.flows(q, v, u, p)
     except (pint.DimensionalityError, pint.errors.OffsetUnitCalculusError) as error:
         raise PluginError(f"system {name!r}: {error}", "an equation whose units fit") from error
-    units = {entry.name: entry.unit for entry in system.injections}
+    units = {state.name: per_second(state.unit) for state in system.others}
+    units |= {entry.name: entry.unit for entry in system.injections}
     for other, value in flows.items():
         _check_dimension(f"rate of {other!r} of system {name!r}", value, units[other])
     for i, entry in enumerate(system.injections[: len(coordinates)]):

@@ -88,7 +88,9 @@ class _Driven(Oscillator):
 
 
 @pytest.mark.parametrize("shared", [True, False])
-@pytest.mark.parametrize("way", ["smooth", "band_limited", "linear", "zero_order", "zero_order_2"])
+@pytest.mark.parametrize(
+    "way", ["smooth", "band_limited", "linear", "denoised", "zero_order", "zero_order_2"]
+)
 def test_inputs_at_the_stages_are_those_of_single_records(way, shared):
     """All stages of all integration steps, to rounding; held inputs keep the old value."""
     system, substeps, rng = _Driven(way=way), 3, np.random.default_rng(2)

@@ -92,7 +92,10 @@ def test_a_grid_is_scaled_by_position_or_velocity():
 
 
 def test_what_is_finite_as_a_text_is_finite_at_rest():
-    for text in ("-k*x*abs(x)", "-k*abs(x)**1.5", "-k*x/abs(x)", "-k*hypot(x, v/w)*v"):
+    for text in (
+        "-k*x*abs(x)", "-k*abs(x)**1.5", "-k*x/abs(x)", "-k*hypot(x, v/w)*v",
+        "-k*x*(x**2 + w*w)**0.25",
+    ):  # fmt: skip
         options = {"shape": {"w": 3.0}} if "w" in text else {}
         found = effect_from_expression("own", text, OSCILLATOR, **options)
         assert _is_all_finite(
@@ -118,6 +121,7 @@ def test_what_is_finite_as_a_text_is_finite_at_rest():
         ("-k*x**n", {}, ["a power has a number"]),
         ("-k*x**99", {}, ["99", "12"]),
         ("-k*x**1.5", {}, ["may be negative", "abs(x)**0.5"]),
+        ("-k*(x**2 - 1)**0.5", {}, ["may be negative", "a sum of squares"]),
         ("-k*sign(x)", {}, ["tanh(v/w)"]),
         ("-k*tan(x)", {}, ["tanh"]),
         ("-k*x/0", {}, ["infinite"]),

@@ -255,3 +255,25 @@ class Given(dict):
     """Parameters by name, as attributes too."""
 
     __getattr__ = dict.__getitem__
+
+
+def test_roots_of_roots_and_of_sums_of_squares_are_followed():
+    """sqrt(sqrt(x^2 + s^2)), which SymPy makes a fourth root of a sum of squares."""
+    given = {
+        "states": {"x": "m"}, "observed": ["x"],
+        "parameters": {"k": (1.3, "m^0.5/s"), "s": (0.1, "m"), "T": (2.0, "s")},
+    }  # fmt: skip
+
+    def twice(t, x, u, p):
+        return [p.k * np.sqrt(np.sqrt(x.x * x.x + p.s * p.s)) - x.x / p.T]
+
+    def power(t, x, u, p):
+        return [p.k * (x.x**2 + p.s**2) ** 0.25 - x.x / p.T]
+
+    at = SimpleNamespace
+    for rhs in (twice, power):
+        system = spiral.system(rhs, **given)
+        p = at(**{q.name: q.start for q in system.parameters})
+        for x in (-0.3, 0.0, 0.7):
+            told = system.rate(at(x=x), at(time=0.0), p, {"x": 0.0})["x"]
+            assert float(told) == pytest.approx(1.3 * (x**2 + 0.01) ** 0.25 - x / 2.0)

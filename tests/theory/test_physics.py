@@ -12,8 +12,10 @@ from spiral.inference.simulate import with_defaults
 from spiral.io.testing import check_effect, failed
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
+from spiral.types.errors import PluginError
 from spiral.types.model import Model, seed_model
-from spiral.types.units import units_fit
+from spiral.types.parameter import Input, Parameter, State
+from spiral.types.units import check_system_units, units_fit
 from tests.scenes import registry
 
 SYSTEMS = (
@@ -135,3 +137,34 @@ def test_a_model_refuses_the_same_effect_twice():
     base = seed_model(PlanarRotor())
     with pytest.raises(Exception, match="once at a port"):
         Model(base.system, (*base.effects, base.effects[0]))
+
+
+class _Coil(Oscillator):
+    """An oscillator whose force is a current's, which lags a voltage; no effect acts on that."""
+
+    others = (State("current", "A"),)
+    inputs = (Input("voltage", "V", interpolation="band_limited"),)
+
+    @property
+    def parameters(self):
+        own = {"constant": ("N/A", 3.0), "resistance": ("ohm", 2.0), "inductance": ("H", 0.1)}
+        more = (Parameter(name, unit, start=start) for name, (unit, start) in own.items())
+        return (*super().parameters, *more)
+
+    def force(self, q, v, u, p):
+        return [p.constant * q.current]
+
+    def flows(self, q, v, u, p):
+        return {"current": (u.voltage - p.resistance * q.current) / p.inductance}
+
+
+class _WrongCoil(_Coil):
+    def flows(self, q, v, u, p):
+        return {"current": u.voltage - p.resistance * q.current}
+
+
+def test_a_state_beside_the_coordinates_needs_no_injection():
+    """Its flow has its unit per second, which is checked."""
+    check_system_units(_Coil())
+    with pytest.raises(PluginError, match="rate of 'current'"):
+        check_system_units(_WrongCoil())

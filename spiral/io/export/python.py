@@ -94,8 +94,8 @@ class PythonPrinter(NumPyPrinter):
 def python(program: Program) -> str:
     """The module's text."""
     between = (
-        series.interpolate_input, series.rows_at_stages, estimate_noise, series.rate_per_sample,
-        series.rates_per_sample,
+        series.interpolate_input, series.without_white_noise, series.rows_at_stages, estimate_noise,
+        series.rate_per_sample, series.rates_per_sample,
     )  # fmt: skip
     given = [i for i in program.inputs if i.name not in program.rates]
     return fill_template(

@@ -198,6 +198,6 @@ class _Formula(StrPrinter):
             if abs(power.p) > 1:
                 root = f"{root}**{abs(power.p)}"
             return root if power > 0 else f"1/{root}"
-        if power.is_Float:
+        if power.is_Float or (power.is_Rational and power.q > 2):
             return f"{self.parenthesize(base, PRECEDENCE['Pow'])}**{float(power)!r}"
         return super()._print_Pow(expr, rational)

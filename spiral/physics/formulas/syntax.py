@@ -263,14 +263,29 @@ def _check_power(node: ast.BinOp, text: str) -> None:
         raise ConfigError(
             f"expression {text!r}: the power {inner.value}", f"at most {LARGEST_EXPONENT}"
         )
-    base = node.left.func if isinstance(node.left, ast.Call) else None
-    rooted = isinstance(base, ast.Name) and base.id in POSITIVE
-    if not float(inner.value).is_integer() and not rooted:
+    if not float(inner.value).is_integer() and not _is_never_negative(node.left):
         raise ConfigError(
             f"expression {text!r}: the power {inner.value} of what may be negative",
-            "a whole power, or a root of abs(...), hypot(...) or sqrt(...)",
+            "a whole power, or a root of abs(...), hypot(...), sqrt(...) or a sum of squares",
             f"x*abs(x)**{max(inner.value - 1, 0.5):g} keeps the sign",
         )
+
+
+def _is_never_negative(node: ast.expr) -> bool:
+    """Whether a term is at least zero whatever its names stand for, as a sum of squares is."""
+    if isinstance(node, ast.Constant):
+        return isinstance(node.value, int | float) and node.value >= 0
+    if isinstance(node, ast.Call):
+        return isinstance(node.func, ast.Name) and node.func.id in POSITIVE
+    if not isinstance(node, ast.BinOp) or isinstance(node.op, ast.Sub):
+        return False
+    if _is_power(node):
+        power = node.right
+        even = isinstance(power, ast.Constant) and power.value in range(0, LARGEST_EXPONENT + 1, 2)
+        return even or _is_never_negative(node.left)
+    if isinstance(node.op, ast.Mult) and ast.dump(node.left) == ast.dump(node.right):
+        return True
+    return _is_never_negative(node.left) and _is_never_negative(node.right)
 
 
 def _check_call(node: ast.Call, text: str) -> Iterator[ast.AST]:
