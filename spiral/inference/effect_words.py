@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from spiral.physics.formulas.laws import law_meaning
-from spiral.types.effect import Effect, ForceEffect, ParameterEffect
-from spiral.types.formatting import first_words
+from spiral.types.effect import Effect, ForceEffect, ParameterEffect, SensorEffect
+from spiral.types.formatting import first_words, join_words
 from spiral.types.model import Model
 from spiral.types.placement import at_every_place
 from spiral.types.run import Round
 from spiral.types.system import System, place_name
+
+_TOLD = 3.0  # standard errors from zero, from which an effect surely acts on an axis
 
 
 def admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
@@ -59,7 +61,23 @@ def _label_with_place(model: Model, label: str) -> str:
     if effect is None:
         return label
     law, named = law_meaning(effect), _effect_with_place(model.system, effect)
+    if axes := _only_axes(model, effect):
+        named = f"{effect.label} at {join_words(axes)}"
     return f"{named} ({law})" if law else named
+
+
+def _only_axes(model: Model, effect: Effect) -> tuple[str, ...]:
+    """The axes on which an effect of sensors surely acts, where it does not so on all."""
+    axes = model.system.place(effect).axes
+    if not isinstance(effect, SensorEffect) or len(axes) < 2:
+        return ()
+    values, told = model.estimates().get(effect.label, {}), []
+    for one in (q for q in effect.amplitudes() if q.per_axis):
+        for axis in axes:
+            at = values.get(f"{one.name}_{axis}")
+            if at is not None and abs(at.t or 0.0) >= _TOLD:
+                told.append(axis)
+    return tuple(a for a in axes if a in told) if len({*told}) < len(axes) else ()
 
 
 def _effect_with_place(system: System, effect: Effect) -> str:

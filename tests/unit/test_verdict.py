@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
+from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 from spiral.inference.advice import advice_for
 from spiral.inference.nearness import (
@@ -83,6 +84,20 @@ def test_an_effect_that_leaves_noise_is_named_with_its_figures():
     assert words == ("Missing was cubic_stiffness: test error 60.0 % -> 2.01 % "
                      "(noise floor 2.00 %).")  # fmt: skip
     assert advice == "What is left is white noise."
+
+
+@pytest.mark.parametrize(("second", "words"), [(0.001, "sensor_lag at x:"), (0.01, "sensor_lag:")])
+def test_of_several_sensors_the_one_that_is_late_is_named(second, words):
+    """One effect has a time for each sensor of a unit; within three errors of zero none is late."""
+    base = seed_model(PlanarRotor())
+    values = {"sensor_lag.time_x": 0.02, "sensor_lag.time_y": second}
+    late = Model(
+        base.system, (*base.effects, effect("sensor_lag")),
+        values=values, errors=dict.fromkeys(values, 0.001),
+    )  # fmt: skip
+    seed, last = rounds(replace(GOOD, model=late), replace(POOR, model=base))
+    _, told, _ = said((seed, replace(last, admitted=("sensor_lag",))), "whiteness")
+    assert told.startswith(f"Missing was {words}")
 
 
 @pytest.mark.parametrize(("between", "apart"), [(0.027, True), (0.030, False)])
