@@ -151,3 +151,20 @@ def test_noise_of_a_steep_band_follows_no_free_run():
     assert band < 0.01
     assert by_filter > 3 * band
     assert law > 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_controller_that_answers_to_the_noise_of_its_sample_follows_no_motion(seed):
+    """u_t = w_t - k y_t of a held force: its part that the reading's own noise makes acts later."""
+    values = {"system.mass": 1.0, "linear_stiffness.stiffness": 4e2, "linear_damping.damping": 2.0}
+    model, rng = seed_model(Oscillator(), values=values), np.random.default_rng(seed)
+    time, noise = np.arange(N) / RATE, 0.01 * rng.normal(size=N)
+    u = sosfilt(butter(4, [0.5, 8.0], "band", fs=RATE, output="sos"), 30 * rng.normal(size=N))
+    record = make_record(
+        Oscillator(), "r", time, {"x": u}, {"force": u - 500.0 * noise}, hold="zero_order"
+    )
+    task, settings = prepare_filter(prepare_task(model, record, substeps=2, every=True), ())
+    free = run_from(task, np.zeros(2))[:, :1]
+    y = free[:, 0] + noise
+    read = replace(task, series=replace(task.series, y=y[:, None].copy()))
+    assert _told_by(free, y, read, settings, 0.01 / y.std()) < 0.005

@@ -8,7 +8,8 @@ standard deviations from its mean,
     e_t = sum_k a_k e_(t-k) + r_t                               of all channels, k to ``_PAST``
     e_t = sum_k a_k e_(t-k) + sum_j b_j f_j(s_t, s_(t-1), ...) + r'_t
 
-f being s at a few lags, its square, cube and a rounded sign. The share of e that f explains beside
+f being s at a few lags, its square, cube and a rounded sign, inputs of a sample before: a
+controller answers to the noise of the same sample. The share of e that f explains beside
 the past is (|r|^2 - |r'|^2) / |e|^2, less what as many columns explain by chance. It is one of e,
 as that of the past is: of noise behind a sharp filter next to nothing is left beside its past, and
 what motion explains of that is no effect.
@@ -87,6 +88,7 @@ def _regression_rows(
     names = task.compiled.traced.inputs
     inputs = sample_inputs(task.inputs, task.series.substeps)[:last]
     inputs = inputs[:, [i for i, n in enumerate(names) if n != TIME]]
+    inputs = np.concatenate([inputs[:1], inputs[:-1]])  # a controller has seen the reading
     gone = part.spreads == 0
     predicted = task.series.y - part.misses
     read = [bridged(y, g) for y, g in zip(predicted.T, gone.T, strict=True)]

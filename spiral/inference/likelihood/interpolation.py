@@ -8,7 +8,7 @@ looks like an actuator that lags or limits its rate.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
@@ -29,6 +29,7 @@ from spiral.types.parameter import HELD, Input, Interpolation
 Ways = Mapping[str, Interpolation]
 
 _SHOWN = 1.0  # squared change of the whitened misses from which a record can tell two ways apart
+_REACH = 0.1  # share of what a way has to gain that it shows to first order
 
 
 def select_input_interpolation(
@@ -71,13 +72,21 @@ def fit_with_other_interpolations(
 ) -> list[LikelihoodFit]:
     """Fits of ``state`` (for example a fit's own without one effect) with other interpolations.
 
+    Of those alone that to first order gain a tenth of what they have to.
+
     ``least`` : log-likelihood under which a fit may stop early.
     """
     fits: list[LikelihoodFit] = []
     problem = assembly.problem
+    base = fit_by_likelihood(assembly, state, steps=0)
+    needed = least - base.log_likelihood if base.estimate.finite else 0.0
     for some, ways in _other_interpolations(problem, fit, _undeclared_input_groups(problem)):
-        progress(_progress_message(some))
         other = replace(state, between=ways)
+        if base.estimate.finite:
+            shown = _misses_beside(assembly, base, other, None)
+            if shown is not None and shown.gain < _REACH * needed:
+                continue
+        progress(_progress_message(some))
         fits.append(fit_by_likelihood(assembly, other, rough=True, least=least))
     return fits
 
@@ -191,13 +200,33 @@ def _replace_interpolation(fit: LikelihoodFit, some: tuple[Input, ...], way: Int
 def _may_be_likelier(assembly: Assembly, fit: LikelihoodFit, other: FitState, masks: Masks) -> bool:
     """Whether another state with the same values and noise misses less, parameters refitted.
 
-    To first order: the squares of whitened misses that the slopes by the parameters do not explain
-    are fewer, and the squared changes sum to more than ``_SHOWN``. Also where its filter runs away.
+    To first order, where the squared changes sum to more than ``_SHOWN``. Also where its filter
+    runs away.
+    """
+    beside = _misses_beside(assembly, fit, other, masks)
+    return beside is None or (beside.changed > _SHOWN and beside.gain > 0)
+
+
+@dataclass(frozen=True)
+class _MissesBeside:
+    """Another state's whitened misses: squares that changed, and what is gained to first order."""
+
+    changed: float
+    gain: float
+
+
+def _misses_beside(
+    assembly: Assembly, fit: LikelihoodFit, other: FitState, masks: Masks
+) -> _MissesBeside | None:
+    """The misses of another state with the same values and noise; nothing where it runs away.
+
+    Its gain is half the squares of whitened misses that the slopes by the parameters do not
+    explain, which it has fewer of.
     """
     at = fit.estimate
     trial = predict_cases([(prepare_filter_tasks(assembly, other), at.noise)])[0]
     if not all(p.whole for p in trial):
-        return True
+        return None
     parts = zip(at.predictions, trial, masks or [None] * len(trial), strict=True)
     rows = [
         np.stack([p.whitened, t.misses * p.weight, *np.moveaxis(p.columns, -1, 0)], axis=-1)[
@@ -206,7 +235,9 @@ def _may_be_likelier(assembly: Assembly, fit: LikelihoodFit, other: FitState, ma
         for p, t, mask in parts
     ]
     own, others, *slopes = np.concatenate([r.reshape(-1, r.shape[-1]) for r in rows]).T
-    if float(np.sum((others - own) ** 2)) <= _SHOWN:
-        return False
+    changed = float(np.sum((others - own) ** 2))
+    if changed <= _SHOWN:
+        return _MissesBeside(changed, 0.0)
     x = np.array([c for c in slopes if np.isfinite(c).all()]).reshape(-1, len(own)).T
-    return least_squares(x, others).rss < least_squares(x, own).rss
+    gain = 0.5 * (least_squares(x, own).rss - least_squares(x, others).rss)
+    return _MissesBeside(changed, float(gain))
