@@ -57,19 +57,22 @@ class PromisingChanges:
         return ranked, changes
 
     def race_leading(
-        self, base: LikelihoodFit, candidates: Ranking, progress: Progress, most: int
-    ) -> tuple[Race, Ranking] | None:
+        self, base: LikelihoodFit, candidates: Ranking, progress: Progress, most: int,
+        lead: float = 1.0,
+    ) -> tuple[Race, Ranking] | None:  # fmt: skip
         """The race of changes where one scores better than every candidate; else nothing.
 
         A change of several amplitudes (a parabola) shows no lead: it is to be compared with as many
         candidates, of which it may be the sum (a spring's k (1 + a x + b x^2) is a quadratic and a
         cubic spring), and to first order a change of one amplitude scores as its larger part does.
+        ``lead`` : times the best candidate's gain that its own has to be.
         """
         ranked, changes = self._score_beside(base)
         if ranked is None:
             return None
         least = min((r.rank for r in candidates.ranked), default=0.0)
-        plain = (r for r in ranked.ranked if len(r.columns) == 1)
+        enough = lead * max((r.score.gain for r in candidates.ranked), default=0.0)
+        plain = (r for r in ranked.ranked if len(r.columns) == 1 and r.score.gain >= enough)
         leading = (r.variant.original.port for r in plain if r.rank < min(least, 0.0))
         best = {*itertools.islice(dict.fromkeys(leading), _LEADING)}
         forms = tuple(e for e in changes if e.port in best and not e.bare)

@@ -50,6 +50,8 @@ from spiral.inference.strategies.likelihood.look_alikes import prefer_special_ca
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.run import Comparison
 
+_FAR = 1.5  # times the best candidate's gain, from which a change is asked before all others
+
 
 @dataclass(frozen=True)
 class ScoredRound:
@@ -149,6 +151,11 @@ def race_and_test(
         there = whole_state(assembly, other.state)
         return TestedCandidates(base, masks, changes, ScoredRound(ranked, ()), other=there)
     level, helps = asked.level(), asked.helps()
+    raced = _race_changes_first(
+        asked, assembly, TestedCandidates(base, masks, changes, ScoredRound(ranked, ())), race.best
+    )
+    if raced and is_near_noise(_last_comparison(asked, raced[0]), assembly.problem.settings):
+        return raced[0]
     race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
     quiet = functools.cache(lambda: rivals_beside_less_noise(assembly, base, masks[0], progress))
     if may_noise_stand_in(asked.comparison, assembly.problem.settings):
@@ -170,36 +177,69 @@ def race_and_test(
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
     contest = TestedCandidates(base, masks, changes, ScoredRound(ranked, tried), outcome, passed)
-    return _with_leading_change(asked, assembly, contest)
+    return _with_leading_change(asked, assembly, contest, raced)
+
+
+Raced = tuple[TestedCandidates, ...] | None
+"""Changes that were raced: nothing where none leads, empty where none passes, else the contest."""
+
+
+def _race_changes_first(
+    asked: RoundInput, assembly: Assembly, contest: TestedCandidates, best: float
+) -> Raced:
+    """A race of changes that lead all candidates by far, before these are raced to their end.
+
+    ``best`` is the worth of the best candidate so far. Where the change leaves no more than noise
+    and what acts at random, none of them is asked further.
+    """
+    if not asked.options.laws or _leaves_nothing(asked.comparison, assembly.problem.settings):
+        return None
+    return _race_changes(asked, assembly, contest, max(best, 0.0), _FAR)
+
+
+def _race_changes(
+    asked: RoundInput, assembly: Assembly, contest: TestedCandidates, best: float, lead: float = 1.0
+) -> Raced:
+    """A race of the changes that lead all candidates; one passes that is likelier by the odds."""
+    options = asked.options
+    led = contest.changes.race_leading(
+        contest.base, contest.scored.ranking, asked.progress, options.rivals, lead
+    )
+    if led is None:
+        return None
+    outcome = first_to_pass(
+        options, assembly, contest.base, led[0], contest.masks[1], asked.level(), asked.helps(),
+        asked.progress, best + float(np.log(options.odds)) if best else 0.0,
+    )  # fmt: skip
+    if outcome.passed is None:
+        return ()
+    scored = ScoredRound(led[1], led[0].tried)
+    return (replace(contest, scored=scored, outcome=outcome, passed=outcome.admitted),)
 
 
 def _with_leading_change(
-    asked: RoundInput, assembly: Assembly, contest: TestedCandidates
+    asked: RoundInput, assembly: Assembly, contest: TestedCandidates, raced: Raced
 ) -> TestedCandidates:
     """The contest with a parameter's change in place of what passed, where that is far likelier.
 
-    None is asked where the model, with what passed, leaves nothing.
+    None is asked where the model, with what passed, leaves nothing. ``raced`` : changes that were
+    raced before.
     """
-    options, passed, settings = asked.options, contest.passed, assembly.problem.settings
-    if not options.laws or len(passed) > 1:
+    passed = contest.passed
+    if not asked.options.laws or len(passed) > 1:
         return contest
-    last = passed[0].whole.refitted.comparison if passed else asked.comparison
-    if _leaves_nothing(last, settings):
+    if _leaves_nothing(_last_comparison(asked, contest), assembly.problem.settings):
         return contest
-    led = contest.changes.race_leading(
-        contest.base, contest.scored.ranking, asked.progress, options.rivals
-    )
-    if led is None:
-        return contest
-    least = passed[0].rival.worth + np.log(options.odds) if passed else 0.0
-    outcome = first_to_pass(
-        options, assembly, contest.base, led[0], contest.masks[1], asked.level(), asked.helps(),
-        asked.progress, float(least),
-    )  # fmt: skip
-    if outcome.passed is None:
-        return contest
-    scored = ScoredRound(led[1], led[0].tried)
-    return replace(contest, scored=scored, outcome=outcome, passed=outcome.admitted)
+    best = passed[0].rival.worth if passed else 0.0
+    if raced is None:
+        raced = _race_changes(asked, assembly, contest, best)
+    least = best + np.log(asked.options.odds) if passed else 0.0
+    return raced[0] if raced and raced[0].passed[0].rival.worth > least else contest
+
+
+def _last_comparison(asked: RoundInput, contest: TestedCandidates) -> Comparison:
+    """The comparison of the model with what passed, or of the one that the round began with."""
+    return contest.passed[-1].whole.refitted.comparison if contest.passed else asked.comparison
 
 
 def _leaves_nothing(last: Comparison, settings: Settings) -> bool:
