@@ -115,7 +115,12 @@ class Race:
     @property
     def best(self) -> float:
         """The largest worth of a candidate on the blocks that select; zero without candidates."""
-        return max((r.worth for r in self._nth_final(0)), default=0.0)
+        return 0.0 if self.first is None else self.first.worth
+
+    @property
+    def first(self) -> Rival | None:
+        """The candidate worth most on the blocks that select; nothing without candidates."""
+        return max(self._nth_final(0), key=lambda r: r.worth, default=None)
 
     def with_more_rivals(self, others: Sequence[Rival]) -> Race:
         """The race started again with more rivals, already fitted briefly."""

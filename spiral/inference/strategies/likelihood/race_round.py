@@ -24,6 +24,7 @@ from spiral.inference.likelihood.fitting import (
     WORTH,
     LikelihoodFit,
     fit_by_likelihood,
+    is_white,
 )
 from spiral.inference.likelihood.interpolation import likelier_interpolation_fit
 from spiral.inference.likelihood.scores import rank_candidates
@@ -152,7 +153,7 @@ def race_and_test(
         return TestedCandidates(base, masks, changes, ScoredRound(ranked, ()), other=there)
     level, helps = asked.level(), asked.helps()
     raced = _race_changes_first(
-        asked, assembly, TestedCandidates(base, masks, changes, ScoredRound(ranked, ())), race.best
+        asked, assembly, TestedCandidates(base, masks, changes, ScoredRound(ranked, ())), race.first
     )
     if raced and is_near_noise(_last_comparison(asked, raced[0]), assembly.problem.settings):
         return raced[0]
@@ -185,16 +186,19 @@ Raced = tuple[TestedCandidates, ...] | None
 
 
 def _race_changes_first(
-    asked: RoundInput, assembly: Assembly, contest: TestedCandidates, best: float
+    asked: RoundInput, assembly: Assembly, contest: TestedCandidates, first: Rival | None
 ) -> Raced:
     """A race of changes that lead all candidates by far, before these are raced to their end.
 
-    ``best`` is the worth of the best candidate so far. Where the change leaves no more than noise
-    and what acts at random, none of them is asked further.
+    ``first`` is the best candidate so far: where its misses are white no change is asked. Where the
+    change leaves no more than noise and what acts at random, no candidate is asked further.
     """
     if not asked.options.laws or _leaves_nothing(asked.comparison, assembly.problem.settings):
         return None
-    return _race_changes(asked, assembly, contest, max(best, 0.0), _FAR)
+    if first is not None and is_white(first.assembly, first.fit):
+        return None
+    best = 0.0 if first is None else max(first.worth, 0.0)
+    return _race_changes(asked, assembly, contest, best, _FAR)
 
 
 def _race_changes(
