@@ -24,6 +24,7 @@ from spiral.inference.likelihood.fitting import (
     WORTH,
     LikelihoodFit,
     fit_by_likelihood,
+    is_random_force_small,
     is_white,
 )
 from spiral.inference.likelihood.interpolation import likelier_interpolation_fit
@@ -190,12 +191,13 @@ def _race_changes_first(
 ) -> Raced:
     """A race of changes that lead all candidates by far, before these are raced to their end.
 
-    ``first`` is the best candidate so far: where its misses are white no change is asked. Where the
-    change leaves no more than noise and what acts at random, no candidate is asked further.
+    ``first`` is the best candidate so far: where it leaves white misses and no force at random, no
+    change is asked. Where the change leaves no more than noise and what acts at random, no
+    candidate is asked further.
     """
     if not asked.options.laws or _leaves_nothing(asked.comparison, assembly.problem.settings):
         return None
-    if first is not None and is_white(first.assembly, first.fit):
+    if first and is_white(first.assembly, first.fit) and is_random_force_small(first.fit):
         return None
     best = 0.0 if first is None else max(first.worth, 0.0)
     return _race_changes(asked, assembly, contest, best, _FAR)
