@@ -148,14 +148,12 @@ def race_and_test(
     if begun is None:
         return None
     base, ranked, race = begun
+    contest = TestedCandidates(base, masks, changes, ScoredRound(ranked, ()))
     least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
-        there = whole_state(assembly, other.state)
-        return TestedCandidates(base, masks, changes, ScoredRound(ranked, ()), other=there)
+        return replace(contest, other=whole_state(assembly, other.state))
     level, helps = asked.level(), asked.helps()
-    raced = _race_changes_first(
-        asked, assembly, TestedCandidates(base, masks, changes, ScoredRound(ranked, ())), race.first
-    )
+    raced = _race_changes_first(asked, assembly, contest, race.first)
     if raced and is_near_noise(_last_comparison(asked, raced[0]), assembly.problem.settings):
         return raced[0]
     race = race.with_more_rivals(rivals_from_given_values(assembly, base, masks[0], progress))
@@ -165,9 +163,7 @@ def race_and_test(
     outcome = first_to_pass(options, assembly, base, race, masks[1], level, helps, progress)
     passed, tried = outcome.admitted, race.tried
     if not passed and (there := _likelier_instead(assembly, state, outcome)) is not None:
-        return TestedCandidates(
-            base, masks, changes, ScoredRound(ranked, tried), outcome, other=there
-        )
+        return replace(contest, scored=ScoredRound(ranked, tried), outcome=outcome, other=there)
     if not passed and outcome.likely is not None:
         passed = _find_second_effect(asked, outcome.likely, assembly.excerpt is not None)
     if not passed:
@@ -178,7 +174,8 @@ def race_and_test(
         passed, tried = outcome.admitted, (*tried, *race.tried)
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
-    contest = TestedCandidates(base, masks, changes, ScoredRound(ranked, tried), outcome, passed)
+    scored = ScoredRound(ranked, tried)
+    contest = replace(contest, scored=scored, outcome=outcome, passed=passed)
     return _with_leading_change(asked, assembly, contest, raced)
 
 
