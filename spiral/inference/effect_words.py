@@ -13,8 +13,6 @@ from spiral.types.placement import at_every_place
 from spiral.types.run import Round
 from spiral.types.system import System, place_name
 
-_TOLD = 3.0  # standard errors from zero, from which an effect surely acts on an axis
-
 
 def admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
     """Effects that were admitted and that the last model still has."""
@@ -22,11 +20,14 @@ def admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
 
 
-def name_effects(rounds: Sequence[Round], labels: Sequence[str]) -> str:
-    """Effects of the last model with their places and look-alikes, as words of a sentence."""
+def name_effects(rounds: Sequence[Round], labels: Sequence[str], least_t: float) -> str:
+    """Effects of the last model with their places and look-alikes, as words of a sentence.
+
+    ``least_t`` : |estimate| over standard error from which an effect of sensors acts on one.
+    """
     model, admitted = rounds[-1].comparison.model, admitted_labels(rounds)
     return ", ".join(
-        _label_with_place(model, x) + _look_alikes_clause(model, rounds, x, admitted)
+        _label_with_place(model, x, least_t) + _look_alikes_clause(model, rounds, x, admitted)
         for x in labels
     )
 
@@ -49,7 +50,7 @@ def _look_alikes_clause(
     return f" (or {first_words(names)}: this record cannot tell them apart)"
 
 
-def _label_with_place(model: Model, label: str) -> str:
+def _label_with_place(model: Model, label: str, least_t: float) -> str:
     """An effect of a model with its place, where its label leaves out that it is the first.
 
     Of a parameter that varies it is said what it follows, of a law what it is.
@@ -60,24 +61,24 @@ def _label_with_place(model: Model, label: str) -> str:
         return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
     if effect is None:
         return label
-    law, named = law_meaning(effect), _effect_with_place(model.system, effect)
-    if axes := _only_axes(model, effect):
-        named = f"{effect.label} at {join_words(axes)}"
+    law, axes = law_meaning(effect), _only_axes(model, effect, least_t)
+    named = (
+        f"{effect.label} at {join_words(axes)}" if axes
+        else _effect_with_place(model.system, effect)
+    )  # fmt: skip
     return f"{named} ({law})" if law else named
 
 
-def _only_axes(model: Model, effect: Effect) -> tuple[str, ...]:
+def _only_axes(model: Model, effect: Effect, least_t: float) -> tuple[str, ...]:
     """The axes on which an effect of sensors surely acts, where it does not so on all."""
     axes = model.system.place(effect).axes
     if not isinstance(effect, SensorEffect) or len(axes) < 2:
         return ()
-    values, told = model.estimates().get(effect.label, {}), []
-    for one in (q for q in effect.amplitudes() if q.per_axis):
-        for axis in axes:
-            at = values.get(f"{one.name}_{axis}")
-            if at is not None and abs(at.t or 0.0) >= _TOLD:
-                told.append(axis)
-    return tuple(a for a in axes if a in told) if len({*told}) < len(axes) else ()
+    values = model.estimates().get(effect.label, {})
+    names = [q.name for q in effect.amplitudes() if q.per_axis]
+    sizes = {a: [values[f"{n}_{a}"].t for n in names if f"{n}_{a}" in values] for a in axes}
+    told = tuple(a for a in axes if any(abs(t or 0.0) >= least_t for t in sizes[a]))
+    return told if len(told) < len(axes) else ()
 
 
 def _effect_with_place(system: System, effect: Effect) -> str:

@@ -398,11 +398,13 @@ def _missing_sentence(
     main = tuple(x for x in named if x not in small)
     if main and small:
         change = _error_clause(rounds[0].comparison, before)
-    was = "was" if len(main or named) == 1 else "were"
-    said = f"Missing {was} {name_effects(rounds, main or named)}: {change}."
+    was, least_t = "was" if len(main or named) == 1 else "were", settings.least_t
+    said = f"Missing {was} {name_effects(rounds, main or named, least_t)}: {change}."
     if main and small:
         change = _error_clause(before, rounds[-1].comparison)
-        said += f" Missing too, and smaller than the noise: {name_effects(rounds, small)}; "
+        said += (
+            f" Missing too, and smaller than the noise: {name_effects(rounds, small, least_t)}; "
+        )
         said += f"{change}."
     elif small:
         said += " What that does is smaller than the noise."

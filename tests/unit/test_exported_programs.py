@@ -17,12 +17,14 @@ import sympy as sp
 
 import spiral
 from spiral.cli import main
+from spiral.engine.series import stage_inputs
 from spiral.io.export.kinds import KINDS
 from spiral.io.export.names import sanitise_text
 from spiral.io.export.program import ProgramVariable, identifiers
 from spiral.io.storage import save_result
 from spiral.types.errors import ConfigError
 from spiral.types.model import seed_model
+from spiral.types.record import make_record
 from tests.exported import (
     EVIL,
     MACHINES,
@@ -70,6 +72,22 @@ def test_the_python_module_runs_as_we_do(machine, tmp_path):
     assert [k for k, e in module.STANDARD_ERRORS.items() if e] == list(machine.model.errors)
     known = machine.model.unit
     assert all(module.UNITS[k] == known(k) for k in module.PARAMETERS)
+
+
+def test_the_python_module_takes_noise_from_an_input_as_we_do(tmp_path):
+    system = spiral.system(
+        ["L*i' = u - R*i"], states={"i": "A"}, observed=["i"],
+        inputs={"u": {"unit": "V", "interpolation": "denoised"}},
+        parameters={"L": "0.01 H", "R": "2 ohm"},
+    )  # fmt: skip
+    model = seed_model(system, values={"system.L": 0.01, "system.R": 2.0})
+    module = module_of(spiral.export(model, "python"), tmp_path)
+    time, rng = np.arange(400) / 1e3, np.random.default_rng(0)
+    u = np.sin(60 * time) + 0.05 * rng.normal(size=400)
+    record = make_record(system, "r", time, {"i": rng.normal(size=400)}, {"u": u})
+    wanted = stage_inputs(system, record, SUBSTEPS)[:, :1]
+    same(module.stage_inputs(time, {"u": u}, SUBSTEPS), wanted)
+    assert np.abs(wanted[:: 3 * SUBSTEPS, 0] - u).std() > 0.01
 
 
 HYPERBOLIC = """

@@ -79,13 +79,12 @@ def fit_with_other_interpolations(
     fits: list[LikelihoodFit] = []
     problem = assembly.problem
     base = fit_by_likelihood(assembly, state, steps=0)
-    needed = least - base.log_likelihood if base.estimate.finite else 0.0
+    enough = _REACH * (least - base.log_likelihood)
     for some, ways in _other_interpolations(problem, fit, _undeclared_input_groups(problem)):
         other = replace(state, between=ways)
-        if base.estimate.finite:
-            shown = _misses_beside(assembly, base, other, None)
-            if shown is not None and shown.gain < _REACH * needed:
-                continue
+        shown = _misses_beside(assembly, base, other, None) if base.estimate.finite else None
+        if shown is not None and shown.gain < enough:
+            continue
         progress(_progress_message(some))
         fits.append(fit_by_likelihood(assembly, other, rough=True, least=least))
     return fits

@@ -57,8 +57,7 @@ class PromisingChanges:
         return ranked, changes
 
     def race_leading(
-        self, base: LikelihoodFit, candidates: Ranking, progress: Progress, most: int,
-        lead: float = 1.0,
+        self, base: LikelihoodFit, candidates: Ranking, progress: Progress, most: int, lead: float
     ) -> tuple[Race, Ranking] | None:  # fmt: skip
         """The race of changes where one scores better than every candidate; else nothing.
 

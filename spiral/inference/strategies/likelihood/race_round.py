@@ -196,14 +196,17 @@ def _race_changes_first(
         return None
     if first and is_white(first.assembly, first.fit) and is_random_force_small(first.fit):
         return None
-    best = 0.0 if first is None else max(first.worth, 0.0)
-    return _race_changes(asked, assembly, contest, best, _FAR)
+    best = 0.0 if first is None else first.worth
+    return _race_changes(asked, assembly, contest, _least_worth(asked.options, best), _FAR)
 
 
 def _race_changes(
-    asked: RoundInput, assembly: Assembly, contest: TestedCandidates, best: float, lead: float = 1.0
+    asked: RoundInput, assembly: Assembly, contest: TestedCandidates, least: float, lead: float
 ) -> Raced:
-    """A race of the changes that lead all candidates; one passes that is likelier by the odds."""
+    """A race of the changes that lead all candidates; one passes that is worth more than ``least``.
+
+    ``lead`` : times the best candidate's gain that theirs has to be.
+    """
     options = asked.options
     led = contest.changes.race_leading(
         contest.base, contest.scored.ranking, asked.progress, options.rivals, lead
@@ -212,7 +215,7 @@ def _race_changes(
         return None
     outcome = first_to_pass(
         options, assembly, contest.base, led[0], contest.masks[1], asked.level(), asked.helps(),
-        asked.progress, best + float(np.log(options.odds)) if best else 0.0,
+        asked.progress, least,
     )  # fmt: skip
     if outcome.passed is None:
         return ()
@@ -233,11 +236,15 @@ def _with_leading_change(
         return contest
     if _leaves_nothing(_last_comparison(asked, contest), assembly.problem.settings):
         return contest
-    best = passed[0].rival.worth if passed else 0.0
+    least = _least_worth(asked.options, passed[0].rival.worth if passed else 0.0)
     if raced is None:
-        raced = _race_changes(asked, assembly, contest, best)
-    least = best + np.log(asked.options.odds) if passed else 0.0
+        raced = _race_changes(asked, assembly, contest, least, 1.0)
     return raced[0] if raced and raced[0].passed[0].rival.worth > least else contest
+
+
+def _least_worth(options: LikelihoodOptions, best: float) -> float:
+    """The worth that takes the place of the best one, likelier by the odds; zero where none is."""
+    return best + float(np.log(options.odds)) if best > 0 else 0.0
 
 
 def _last_comparison(asked: RoundInput, contest: TestedCandidates) -> Comparison:
