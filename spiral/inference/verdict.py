@@ -401,11 +401,9 @@ def _missing_sentence(
     was, least_t = "was" if len(main or named) == 1 else "were", settings.least_t
     said = f"Missing {was} {name_effects(rounds, main or named, least_t)}: {change}."
     if main and small:
+        names = name_effects(rounds, small, least_t)
         change = _error_clause(before, rounds[-1].comparison)
-        said += (
-            f" Missing too, and smaller than the noise: {name_effects(rounds, small, least_t)}; "
-        )
-        said += f"{change}."
+        said += f" Missing too, and smaller than the noise: {names}; {change}."
     elif small:
         said += " What that does is smaller than the noise."
     return f"{said} At this size a name may stand for something else." if small else said
