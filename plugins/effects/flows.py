@@ -52,22 +52,22 @@ def _rounded_root(level, width):
 class Overflow(FlowEffect):
     """Above its rim the upper tank spills, and part of that falls into the lower one.
 
-    x1' = ... - spilled (x1 - r)_+ and x2' = ... + caught (x1 - r)_+, with the rim at r and the
-    corner of (.)_+ rounded over +-w (``spiral.math.ramp``).
+    x1' = ... - (lost + caught) (x1 - r)_+ and x2' = ... + caught (x1 - r)_+ for two tanks of one
+    area, with the rim at r and the corner of (.)_+ rounded over +-w (``spiral.math.ramp``).
     """
 
     channels = ("upper", "lower")
     parameters = (
-        Parameter("spilled", "1/s", lower=0.0, upper=1.0),
+        Parameter("lost", "1/s", lower=0.0, upper=1.0),
         Parameter("caught", "1/s", lower=0.0, upper=1.0),
         Parameter("rim", "position", lower=0.0, role="shape", grid=(0.5, 0.6, 0.7, 0.8, 0.9, 1.0)),
         WIDTH,
     )
 
     def flow(self, x, u, p):
-        """-spilled (x1 - r)_+ and +caught (x1 - r)_+."""
+        """-(lost + caught) (x1 - r)_+ and +caught (x1 - r)_+."""
         above = ramp(x.upper - p.rim, p.width)
-        return {"upper": -p.spilled * above, "lower": p.caught * above}
+        return {"upper": -(p.lost + p.caught) * above, "lower": p.caught * above}
 
 
 class SensorSaturation(SensorEffect):

@@ -6,8 +6,11 @@ from spiral.math import cos, length, ramp, sin, tanh, where
 from spiral.types.effect import ForceEffect
 from spiral.types.parameter import Parameter
 
-WIDTH = Parameter("width", "position", lower=0.0, start=0.0, role="shape", grid=(0.02,))
-"""Half the stretch over which a corner is rounded: 2 % of the largest motion while a candidate."""
+WIDTH = Parameter("width", "position", lower=0.0, start=0.0, role="shape", grid=(0.02,), most=0.25)
+"""Half the stretch over which a corner is rounded: 2 % of the largest motion while a candidate.
+
+A corner that is rounded over more than half of the motion, w above a quarter of it, is none.
+"""
 
 
 def excess_over_gap(value, gap, width):

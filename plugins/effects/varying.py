@@ -126,7 +126,7 @@ class SwitchedChange(ParameterEffect):
     parameters = (
         Parameter("change", ""),
         Parameter("point", "position", role="shape", grid=(-0.5, 0.0, 0.3, 0.5, 0.7)),
-        Parameter("width", "position", lower=0.0, role="shape", grid=(0.03,)),
+        Parameter("width", "position", lower=0.0, role="shape", grid=(0.03,), most=0.25),
     )
 
     def factor(self, at, u, p):

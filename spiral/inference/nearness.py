@@ -41,6 +41,8 @@ _SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to ma
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 _GREW = 1.05  # times itself, from which the free run of fitted records is worse
+SMALL_PART = 0.25
+"""Of an error that is left: what takes less of it away, in squares, takes little."""
 _CHANCE = 2.0  # standard errors that an error ahead grows by chance once in forty
 _COLOUR = 0.25  # share of what is left, half its deviation, up to which its own past may tell it
 

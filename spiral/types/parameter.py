@@ -43,6 +43,9 @@ class Parameter:
     grid : of a shape, the values tried while its effect is absent, as shares of the largest
         port position or velocity (by its unit) that the record shows; of another unit (a
         frequency), the values themselves.
+    most : of a shape with a grid, a value in the unit of its grid, beyond which the effect is no
+        longer what its name says (a corner rounded over the whole motion). It is told with such a
+        value only where it leaves nothing but noise.
     loose : one of many coefficients of a curve, some of which a record may hardly determine: its
         prior has mean zero and the standard deviation with which, where it is seen best, it alone
         would make the whole response.
@@ -65,6 +68,7 @@ class Parameter:
     search: float = 0.0
     spectrum: bool = False
     loose: bool = False
+    most: float | None = None
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

@@ -23,22 +23,21 @@ def needs(file: str):
 @needs("cascaded_tanks/dataBenchmark.csv")
 @pytest.mark.slow
 def test_the_tanks_name_the_overflow_first():
-    """One round: the seed near 0.67 V, the overflow on half of the record near 0.54 V."""
+    """One round: the seed near 0.70 V, the overflow on half of the record near 0.54 V."""
     problem = problem_of("cascaded_tanks", ("settings.max_rounds=1", "strategy=shooting"))
     seed, first = scored(problem, discover(problem))
-    assert seed.all == pytest.approx(0.67, abs=0.02)
+    assert seed.all == pytest.approx(0.70, abs=0.02)
     assert first.admitted == ("overflow",)
     assert first.all < 0.56
 
 
-@pytest.mark.slow
 @needs("cascaded_tanks/dataBenchmark.csv")
-def test_the_tanks_are_simulated_to_their_figure():
-    """Overflow, the sensor's offset and its limit: at most 0.40 V over the whole test record."""
-    problem = problem_of("cascaded_tanks", ("strategy=shooting",))
-    rounds = scored(problem, discover(problem))
-    assert [x for r in rounds for x in r.admitted] == ["overflow", "offset", "sensor_saturation"]
-    assert rounds[-1].all <= 0.40
+def test_the_overflow_of_the_measured_tanks_is_named():
+    """By the likelihood, first and alone; what spills is no less than what is caught."""
+    result = discover(problem_of("cascaded_tanks"))
+    assert result.missing == ("overflow",)
+    assert result.rounds[-1].comparison.test_error < 0.28
+    assert 7 < result.model.values["overflow.rim"] < 12
 
 
 @needs("multiarm_pendulum/SinglePendulumDataForParameterEstimation.mat")

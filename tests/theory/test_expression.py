@@ -38,7 +38,7 @@ SAME = [
     ("coulomb_friction", OSCILLATOR, "-level*tanh(v/width)", {"shape": {"width": 1e-3}}),
     (
         "overflow", TANKS,
-        {"upper": f"-spilled*{RAMP}", "lower": f"caught*{RAMP}"},
+        {"upper": f"-(lost + caught)*{RAMP}", "lower": f"caught*{RAMP}"},
         {"grid": {"rim": [0.5, 0.9], "width": [0.02]}},
     ),
 ]  # fmt: skip

@@ -40,8 +40,8 @@ def test_levels_settle_where_outflow_is_inflow():
 
 
 def test_an_overflow_takes_what_the_outlet_does_not():
-    """K u = k1 sqrt(x1) + spilled (x1 - r) above the rim; what is caught raises the lower tank."""
-    values = {"overflow.spilled": 0.5, "overflow.caught": 0.2, "overflow.rim": 4.0}
+    """K u = k1 sqrt(x1) + (lost + caught) (x1 - r) above the rim; what is caught falls below."""
+    values = {"overflow.lost": 0.3, "overflow.caught": 0.2, "overflow.rim": 4.0}
     (upper, lower), _ = settled(effect("overflow"), **values)
     spilled = 0.5 * (upper - 4.0)
     assert spilled > 0
@@ -93,7 +93,7 @@ def test_blocks_are_shortened_until_both_halves_saw_the_same_motion():
 
 def _spilling(noise=0.02):
     """A pump in steps that lets the upper tank run over, and the model that knows no rim."""
-    values = {"overflow.spilled": 0.8, "overflow.caught": 0.4, "overflow.rim": 6.0}
+    values = {"overflow.lost": 0.4, "overflow.caught": 0.4, "overflow.rim": 6.0}
     model = seed_model(CascadedTanks(), (effect("overflow"),), values={**VALUES, **values})
     rng = np.random.default_rng(3)
     steps = np.repeat(rng.uniform(0.5, 4.0, 32), 32)
@@ -125,9 +125,9 @@ def test_an_effect_that_is_let_go_no_longer_acts():
     label = found.variant.label
     left = drop_effects(assembly, found.fit_state, (label,))
     assert label not in left.labels
-    spilled, caught = (assembly.study.index(f"{label}.{k}") for k in ("spilled", "caught"))
-    assert found.fit_state.values[0, spilled] > 0
-    assert left.values[0, spilled] == left.values[0, caught] == 0
+    lost, caught = (assembly.study.index(f"{label}.{k}") for k in ("lost", "caught"))
+    assert found.fit_state.values[0, lost] > 0
+    assert left.values[0, lost] == left.values[0, caught] == 0
 
 
 def test_a_pump_that_jumps_fills_by_the_value_it_held():

@@ -46,7 +46,8 @@ class Variant:
     """One compiled copy of a candidate: its shapes, and its companion a quarter turn ahead.
 
     ``tuned`` are the shapes that a refit may set free (those with several values to try);
-    ``searched`` the number of independent values among which this one was looked for.
+    ``searched`` the number of independent values among which this one was looked for; ``limits``,
+    by full name, are values of shapes beyond which it is another effect (``Parameter.most``).
     """
 
     effect: Effect
@@ -55,6 +56,7 @@ class Variant:
     companion: Effect | None = None
     tuned: tuple[str, ...] = ()
     searched: int = 1
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -247,7 +249,11 @@ def _candidate_variants(
         tuned = tuple(k for k, p in zip(keys, shapes, strict=True) if len(p.grid) != 1)
         turned = replace(effect, variant=f"{tag}quarter") if companion else None
         searched = int(np.prod([count for _, count in tried]))
-        variants.append(Variant(copy, effect, sizes, turned, tuned, searched))
+        limits = {
+            k: p.most * shape_scale(p, largest, port)
+            for k, p in zip(keys, shapes, strict=True) if p.most is not None
+        }  # fmt: skip
+        variants.append(Variant(copy, effect, sizes, turned, tuned, searched, limits))
     return variants
 
 

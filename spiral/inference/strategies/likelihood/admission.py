@@ -30,14 +30,12 @@ from spiral.inference.likelihood.alias_groups import (
 )
 from spiral.inference.likelihood.candidates import Race, Rival, start_race
 from spiral.inference.likelihood.comparison import compare_by_likelihood
-from spiral.inference.likelihood.departures import drifting_parameters
 from spiral.inference.likelihood.excerpts import search_on_excerpt, whole_state, whole_study
 from spiral.inference.likelihood.fitting import (
     WORTH,
     LikelihoodFit,
     continue_fit,
     fit_by_likelihood,
-    has_still_state,
     innovation_whiteness,
     is_start_settled,
     largest_force,
@@ -76,6 +74,7 @@ from spiral.inference.strategies.likelihood.accepted import (
     WholeRecordFit,
 )
 from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
+from spiral.inference.strategies.likelihood.meaning import STILL_STATE, refuse_senseless
 from spiral.inference.strategies.likelihood.superfluous import (
     admitted_variants,
     drop_superfluous_effects,
@@ -86,15 +85,10 @@ from spiral.inference.strategies.likelihood.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
 from spiral.types.effect import Effect
-from spiral.types.formatting import number
-from spiral.types.label import owner_of, parameter_of, split_key, without_variant
+from spiral.types.label import owner_of, without_variant
 from spiral.types.run import Comparison
 
-_STILL_STATE = (
-    "its own state hardly moves in these records: it adds a constant, which another effect may be"
-)
 _LAST = 1e-6  # whiteness from which a model may be the last
-_BEYOND = 100.0  # times its scaled value from which a shape is of no motion in the records
 
 
 def compare_likelihood_fit(
@@ -206,7 +200,7 @@ def _fit_and_ask(
     """
     whole = fit_with_rival(chosen, progress, objection if early else None)
     passed = AcceptedCandidate(chosen, aliases, whole)
-    refusal = _refuse_senseless(whole, chosen) or objection(whole)
+    refusal = refuse_senseless(whole, chosen) or objection(whole)
     if refusal is None or not refusal.alone:
         return passed, refusal
     freely = _with_free_run_values(passed, progress)
@@ -224,7 +218,7 @@ def _meaningful(race: Race, rejected: dict[str, str]) -> Iterator[tuple[Rival, l
     """
     for rival, rivals in race.winners():
         if rival.stands_still:
-            rejected[rival.label] = _STILL_STATE
+            rejected[rival.label] = STILL_STATE
         else:
             yield rival, [one for one in rivals if not one.stands_still]
 
@@ -243,54 +237,6 @@ def _with_free_run_values(
     gone = whole.refitted.retired
     freely = compare_whole_record_fit(whole.assembly, whole.fit, gone, progress, halves_agree=False)
     return replace(passed, whole=freely)
-
-
-def _refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
-    """A refusal where the fitted values make no sense for the effect; nothing where they do.
-
-    A shape that runs to an end of its range, or far beyond the motion that it was scaled by, no
-    longer means what the effect means by it.
-    """
-    if not whole.fit.estimate.finite:
-        return Refusal("with it the fit to all samples diverges")
-    if rival.label in whole.refitted.retired:
-        return Refusal("another interpolation of an input between its samples explains as much")
-    if _has_vanished(whole, rival.label):
-        return Refusal("fitted to all samples its amplitude is not distinguishable from zero")
-    model, variant = whole.refitted.comparison.model, rival.ranked.variant
-    for key, share in drifting_parameters(whole.fit.estimate).items():
-        if owner_of(without_variant(key)) == rival.label and abs(share) > 1.0:
-            return Refusal(
-                f"its {parameter_of(key)} would change by more than itself over the record: it "
-                "stands for something that changes with time, or with what changes over the record",
-                alone=True,
-            )
-    tried = {parameter_of(k): size for k, size in variant.shapes.items()}
-    for key, parameter in model.pairs:
-        owner, name = split_key(key)
-        if owner == rival.label and parameter.role == "shape" and key in model.values:
-            value = model.values[key]
-            if parameter.at_bound(value):
-                return Refusal(f"its {name} runs to the end of its range, {number(value)}")
-            if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name) or np.inf):
-                return Refusal(f"its {name} goes to {number(value)}, far beyond the motion")
-    if has_still_state(whole.fit, variant.label):
-        return Refusal(_STILL_STATE)
-    known = model.estimates().get(rival.label, {}).items()
-    said = variant.original.contradiction({n: e.estimate for n, e in known if e.se is not None})
-    return Refusal(said) if said else None
-
-
-def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
-    """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
-    model, refitted = whole.refitted.comparison.model, whole.refitted
-    told = refitted.details.get(LIKELIHOOD_RATIO_T, {}).get(label, 0.0)
-    known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
-    names = [parameter_of(key) for key in model.amplitudes(label)]
-    zero = [known[n].estimate == 0.0 for n in names]
-    sizes = [abs(t) for n in names if (t := known[n].t) is not None]
-    faint = len(sizes) == len(names) and not max([*sizes, told], default=np.inf) >= least
-    return bool(names) and (all(zero) or faint)
 
 
 def _drop_unused_variants(own: Assembly, state: FitState) -> tuple[Assembly, FitState]:

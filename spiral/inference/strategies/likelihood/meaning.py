@@ -1,0 +1,89 @@
+"""Fitted values that make no sense for an effect: it is refused, whatever it explains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spiral.inference.evidence.assembly import Variant
+from spiral.inference.likelihood.candidates import Rival
+from spiral.inference.likelihood.departures import drifting_parameters
+from spiral.inference.likelihood.fitting import has_still_state
+from spiral.inference.nearness import is_near_noise
+from spiral.inference.strategies.likelihood.accepted import WholeRecordFit
+from spiral.inference.strategies.likelihood.benefit import Refusal
+from spiral.inference.verdict import LIKELIHOOD_RATIO_T
+from spiral.types.formatting import number
+from spiral.types.label import owner_of, parameter_of, split_key, without_variant
+from spiral.types.model import Model
+
+STILL_STATE = (
+    "its own state hardly moves in these records: it adds a constant, which another effect may be"
+)
+_BEYOND = 100.0  # times its scaled value from which a shape is of no motion in the records
+
+
+def refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
+    """A refusal where the fitted values make no sense for the effect; nothing where they do.
+
+    What it has as states of its own must move, and what it has fitted must not contradict what its
+    name says.
+    """
+    if not whole.fit.estimate.finite:
+        return Refusal("with it the fit to all samples diverges")
+    if rival.label in whole.refitted.retired:
+        return Refusal("another interpolation of an input between its samples explains as much")
+    if _has_vanished(whole, rival.label):
+        return Refusal("fitted to all samples its amplitude is not distinguishable from zero")
+    model, variant = whole.refitted.comparison.model, rival.ranked.variant
+    for key, share in drifting_parameters(whole.fit.estimate).items():
+        if owner_of(without_variant(key)) == rival.label and abs(share) > 1.0:
+            return Refusal(
+                f"its {parameter_of(key)} would change by more than itself over the record: it "
+                "stands for something that changes with time, or with what changes over the record",
+                alone=True,
+            )
+    near = is_near_noise(whole.refitted.comparison, whole.assembly.problem.settings)
+    if (refusal := refuse_shapes(model, variant, near)) is not None:
+        return refusal
+    if has_still_state(whole.fit, variant.label):
+        return Refusal(STILL_STATE)
+    known = model.estimates().get(rival.label, {}).items()
+    said = variant.original.contradiction({n: e.estimate for n, e in known if e.se is not None})
+    return Refusal(said) if said else None
+
+
+def refuse_shapes(model: Model, variant: Variant, near: bool) -> Refusal | None:
+    """A refusal where a fitted shape no longer means what the effect means by it.
+
+    It runs to an end of its range, or far beyond the motion that it was scaled by; or beyond its
+    ``Parameter.most``, unless the model is ``near`` its noise: as a stand-in for what is missing an
+    effect of such a shape is not told by its name, but what explains all that is left is right.
+    """
+    tried, limits = (
+        {parameter_of(k): size for k, size in sizes.items()}
+        for sizes in (variant.shapes, variant.limits)
+    )
+    for key, parameter in model.pairs:
+        owner, name = split_key(key)
+        if owner != variant.original.label or parameter.role != "shape" or key not in model.values:
+            continue
+        value = model.values[key]
+        if parameter.at_bound(value):
+            return Refusal(f"its {name} runs to the end of its range, {number(value)}")
+        if parameter.grid and abs(value) > _BEYOND * abs(tried.get(name) or np.inf):
+            return Refusal(f"its {name} goes to {number(value)}, far beyond the motion")
+        if abs(value) > limits.get(name, np.inf) and not near:
+            return Refusal(f"its {name} goes to {number(value)}, over too much of the motion")
+    return None
+
+
+def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
+    """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
+    model, refitted = whole.refitted.comparison.model, whole.refitted
+    told = refitted.details.get(LIKELIHOOD_RATIO_T, {}).get(label, 0.0)
+    known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
+    names = [parameter_of(key) for key in model.amplitudes(label)]
+    zero = [known[n].estimate == 0.0 for n in names]
+    sizes = [abs(t) for n in names if (t := known[n].t) is not None]
+    faint = len(sizes) == len(names) and not max([*sizes, told], default=np.inf) >= least
+    return bool(names) and (all(zero) or faint)
