@@ -123,7 +123,7 @@ def effect_chips(study: Study) -> str:
     items = [f'<span class="chip">{escape(label_words(e))}</span>' for e in seed]
     items += [f'<span class="chip added">+ {escape(label_words(e))}</span>' for e in study.added]
     gone = ", ".join(label_words(e) for e in study.gone)
-    said = f"Removed: {gone}, superfluous beside what was added later."
+    said = f"Removed: {gone}, superfluous beside later findings."
     left = f'<p class="soft gone">{escape(said)}</p>' if gone else ""
     return f'<div class="chips">{"".join(items)}</div>{left}'
 

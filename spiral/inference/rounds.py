@@ -62,7 +62,10 @@ def rank_last_round(
     step = strategy.propose(assembly, fit_state, last.comparison, len(at.rounds), progress)
     if step.again is not None:
         fit_state, details = step.again.fit_state, {**last.details, **step.again.details}
-        last = replace(last, comparison=step.again.comparison, details=details)
+        last = replace(
+            last, comparison=step.again.comparison, details=details,
+            retired=(*last.retired, *step.again.retired),
+        )  # fmt: skip
     ranked = replace(
         last,
         suggestions=step.suggestions,

@@ -50,7 +50,7 @@ from spiral.types.run import UNTOLD, Comparison, Round, StopReason, Verdict
 from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"
-"""Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
+"""Key of a round's details: by effect, |t| by a likelihood ratio."""
 _MOST_AT_RANDOM = 0.5  # of the machine's own forces, and of its motion
 
 _VERDICTS = {
@@ -182,11 +182,13 @@ def study_verdict(rounds: Sequence[Round], stopped: StopReason, settings: Settin
     """The verdict on the seed after a study: ``effect_missing`` where it found one.
 
     Where it admitted effects of which none is determined, or which raise the error on unseen data,
-    something is missing and nothing explains it; likewise where they only stand in for memory.
+    or only stand in for memory, something is missing and nothing explains it. Where all were let go
+    again, beside other noise, the model is the seed.
     """
-    if stopped != "not_identifiable" and len(rounds) > 1 and "unknown" not in rounds[0].details:
-        return "effect_missing" if missing_effects(rounds, settings) else "unknown_structure"
-    return seed_verdict(rounds[0], stopped, settings)
+    if stopped == "not_identifiable" or not admitted_labels(rounds):
+        return seed_verdict(rounds[-1], stopped, settings)
+    named = "unknown" not in rounds[0].details and missing_effects(rounds, settings)
+    return "effect_missing" if named else "unknown_structure"
 
 
 def seed_verdict(
@@ -204,12 +206,11 @@ def seed_verdict(
         return "effect_missing"
     if stopped == "diverged" or {"unknown", "memory"} & set(seed.details):
         return "unknown_structure"
-    if is_near_noise(seed.comparison, settings):
-        if has_tied_effects(seed.details):
-            return "not_identifiable"
-        undecided = is_undecided(seed.comparison, stopped, settings)
-        return "unknown_structure" if undecided else "nothing_missing"
-    return "unknown_structure"
+    near = is_near_noise(seed.comparison, settings)
+    if near and has_tied_effects(seed.details):
+        return "not_identifiable"
+    told = near and not is_undecided(seed.comparison, stopped, settings)
+    return "nothing_missing" if told else "unknown_structure"
 
 
 # --- words ---------------------------------------------------------------------------------------
@@ -293,8 +294,7 @@ def study_summary(
     rounds: Sequence[Round], verdict: Verdict, stopped: StopReason, settings: Settings
 ) -> str:
     """What a study found, with its figures, in sentences for a report."""
-    admitted = admitted_labels(rounds)
-    last = rounds[-1].comparison
+    admitted, last = admitted_labels(rounds), rounds[-1].comparison
     if not admitted:
         if stopped == "diverged":
             return "The fit diverged."
@@ -477,7 +477,7 @@ def _equal_curve_clause(rounds: Sequence[Round]) -> str:
 
 def seed_sentence(verdict: Verdict, rounds: Sequence[Round], settings: Settings) -> str:
     """The verdict in words on a model to which nothing was added."""
-    seed, held = rounds[0].comparison, describe_held_parameters(rounds[0].details)
+    seed, held = rounds[-1].comparison, describe_held_parameters(rounds[0].details)
     if held and verdict == "not_identifiable":
         return f"{held} Beside that, nothing is missing: {_figures_clause(seed, settings)}."
     about = verdict_sentence(verdict, seed, settings)

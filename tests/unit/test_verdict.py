@@ -86,6 +86,16 @@ def test_an_effect_that_leaves_noise_is_named_with_its_figures():
     assert advice == "What is left is white noise."
 
 
+def test_where_all_effects_were_let_go_the_verdict_is_that_of_the_seed():
+    """An offset had been there for noise that grows with its reading, which was found later."""
+    seed = replace(GOOD, model=seed_model(Oscillator()))
+    found = rounds(seed, replace(seed, test_error=0.0203))
+    verdict, words, _ = said(found, "whiteness")
+    assert verdict == "nothing_missing"
+    assert words.startswith("Nothing is missing")
+    assert "2.01 %" in words
+
+
 @pytest.mark.parametrize(("second", "words"), [(0.001, "sensor_lag at x:"), (0.01, "sensor_lag:")])
 def test_of_several_sensors_the_one_that_is_late_is_named(second, words):
     """One effect has a time for each sensor of a unit; within three errors of zero none is late."""

@@ -10,7 +10,8 @@ whose normal equations are the likelihood's slope and its expected information. 
 (Levenberg and Marquardt) until the likelihood rises. A pass of the filter has X with its gains
 held. What is missing there is by differences, one pass each; the slopes by sizes are those of a
 filter that is linear along the motion (``vary_noise``). Both change slowly and are kept from
-step to step (``SlopeCache``), until a step promises more than it keeps.
+step to step (``SlopeCache``), until a step promises more than it keeps; where sizes alone move,
+each step corrects their slopes.
 
 A model that lacks something starts with much process noise, and with it the filter follows the
 record however wrong the model is; as parameters find their values the noise falls, and predictions
@@ -38,6 +39,7 @@ from spiral.engine.likelihood.predict import (
     predict_cases,
     vary_noise,
 )
+from spiral.engine.likelihood.slope_cache import SlopeCache, size_slopes
 from spiral.engine.likelihood.steps import drop_bounded_columns, next_damped_step
 from spiral.engine.score import residual_block_samples
 from spiral.engine.threads import run_in_threads, split_among_threads
@@ -46,7 +48,6 @@ from spiral.types.record import Array
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
 _GROWTH = 4.0  # factor by which a value that cannot be negative grows in one step, at most
 _LARGEST = 2.0  # most that the logarithm of a size moves in one step
-_IDLE = 1e-6  # information on the logarithm of a size below which it does nothing
 _ENOUGH = 0.02  # log-likelihood that is not worth another step
 ROUGH = 5e-4  # log-likelihood for each reading
 _FLOOR = 1.01  # times its least value up to which a size stays there
@@ -57,34 +58,6 @@ _STALE = 0.7  # move of the logarithm of a size after which slopes by sizes are 
 _FRESH = 0.2  # of the same, up to which they count as made here
 _DAMPING, _EASE, _STRAIN, _TRIES = 1e-3, 0.2, 10.0, 8
 _VAIN = 0.05  # share of ``enough`` that a step must promise to be tried
-
-Beside = Mapping[str, tuple[tuple[Array, Array], ...]]
-"""By size of the noise, for every record: slopes of e and of log s by its logarithm."""
-
-
-@dataclass(frozen=True)
-class SlopeCache:
-    """Cache of slopes by finite differences.
-
-    ``beyond`` by parameter and record: slopes of the whitened misses less those with held gains;
-    ``sizes`` by size of the noise, made where the sizes were ``at``.
-    """
-
-    beyond: Mapping[str, tuple[Array, ...]] = field(default_factory=dict)
-    sizes: Beside = field(default_factory=dict)
-    at: Mapping[str, float] = field(default_factory=dict)
-
-    def match_records(self, parts: Sequence[Prediction]) -> bool:
-        """Whether the slopes have the shapes of these records."""
-        shapes = [p.misses.shape for p in parts]
-        each = (*self.beyond.values(), *([m for m, _ in b] for b in self.sizes.values()))
-        return all([x.shape for x in one] == shapes for one in each)
-
-    def are_stale(self, noise: NoiseModel, names: Sequence[str], moved: float) -> bool:
-        """Whether slopes by a size are missing, or its logarithm has moved by more."""
-        return any(
-            n not in self.sizes or abs(np.log(noise.values[n] / self.at[n])) > moved for n in names
-        )
 
 
 @dataclass(frozen=True)
@@ -277,12 +250,14 @@ class _Search:
         better, damping = step.better, step.damping
         gain = 0.0 if better is None else better.log_likelihood - at.log_likelihood
         sizes, steps = self.sizes(at), at.steps + 1
-        at = replace(better or at, regression=step.solved, steps=steps, sizes=sizes)
         faithful = _TRUE * step.promised <= gain <= step.promised / _TRUE
+        if better is not None and faithful:
+            better = self.with_carried_slopes(at, better)
+        at = replace(better or at, regression=step.solved, steps=steps, sizes=sizes)
         over = step.best < self.enough or (fresh and (self.rough or not faithful))
         if (gain < self.enough and over) or (better is None and fresh):
             if at.kept.are_stale(at.noise, sizes, _FRESH):  # stale slopes do not show convergence
-                return self.with_size_slopes(at, _FRESH), damping, fresh, False
+                return self.with_size_slopes(at, fresh=True), damping, fresh, False
             return replace(at, converged=True), damping, fresh, True
         if better is None:  # no step rises, however short
             return self.with_difference_slopes(at), _DAMPING, True, False
@@ -296,10 +271,33 @@ class _Search:
         names = at.noise.names if self.tune else ()
         return tuple(n for n in names if at.noise.values[n] > _FLOOR * size_limits(task, n)[0])
 
-    def with_size_slopes(self, at: MaximumLikelihood, moved: float = _STALE) -> MaximumLikelihood:
-        """With slopes by sizes of the noise made anew, where those kept are missing or stale."""
+    def with_carried_slopes(
+        self, at: MaximumLikelihood, better: MaximumLikelihood
+    ) -> MaximumLikelihood:
+        """An estimate with the slopes by sizes of the one before it, corrected by the step.
+
+        Unchanged where parameters moved as well (what changed is not of the sizes alone), and where
+        the maximum itself is looked for.
+        """
+        if self.keys or not self.rough:
+            return better
+        old, new = at.noise.values, better.noise.values
+        step = {n: float(np.log(new[n] / old[n])) for n in self.sizes(at)}
+        kept = at.kept.carried(at.predictions, better.predictions, better.noise, step)
+        return replace(better, kept=kept)
+
+    def with_size_slopes(self, at: MaximumLikelihood, fresh: bool = False) -> MaximumLikelihood:
+        """With slopes by sizes of the noise made anew, where those kept are missing or stale.
+
+        ``fresh`` : they must have been made near by, not carried there.
+        """
         names = self.sizes(at)
-        if not at.kept.are_stale(at.noise, names, moved):
+        stale = (
+            at.kept.are_stale(at.noise, names, _FRESH)
+            if fresh
+            else at.kept.are_far(at.noise, names, _STALE)
+        )
+        if not stale:
             return at
         larger = np.exp(_DIFFERENCE)
         others = [at.noise.with_values({n: at.noise.values[n] * larger}) for n in names]
@@ -315,15 +313,15 @@ class _Search:
         with np.errstate(all="ignore"):
             varied = list(itertools.chain(*run_in_threads(vary_sizes, jobs, samples)))
         sizes = {  # all of the first record come first
-            n: tuple(_size_slopes(p, *other)
+            n: tuple(size_slopes(p, *other, _DIFFERENCE)
                      for p, other in zip(at.predictions, varied[j :: len(names)], strict=True))
             for j, n in enumerate(names)
         }  # fmt: skip
-        return replace(at, kept=replace(at.kept, sizes=sizes, at=dict(at.noise.values)))
+        return replace(at, kept=at.kept.made_at(at.noise, sizes))
 
     def with_difference_slopes(self, at: MaximumLikelihood) -> MaximumLikelihood:
         """With all slopes by differences, made at these values."""
-        at = self.with_size_slopes(at, _FRESH)
+        at = self.with_size_slopes(at, fresh=True)
         held = [p.columns for p in at.predictions]
         widths = _difference_steps(held)
         others = predict_cases(
@@ -422,20 +420,3 @@ def _shift_parameter(prepared: FilterInputs, key: str, step: float) -> FilterInp
     task = prepared[0][0]
     value = float(task.values[task.keys.index(key)]) + step
     return tuple((t.with_values({key: value}), s) for t, s in prepared)
-
-
-def _size_slopes(part: Prediction, misses: Array, spreads: Array) -> tuple[Array, Array]:
-    """Slopes of the misses over s^(1/2), and of log s, from a run with one size a little larger.
-
-    Nothing, where that run overflows, or the size is idle: slopes that are of rounding alone would
-    move it at random. It stays where it is.
-    """
-    seen = part.spreads > 0
-    if not (np.all(np.isfinite(misses)) and np.all(spreads[seen] > 0)):
-        return np.zeros_like(misses), np.zeros_like(misses)
-    miss = (misses - part.misses) * part.weight / _DIFFERENCE
-    grown = np.log(spreads, where=seen, out=np.zeros_like(spreads))
-    grown -= np.log(part.spreads, where=seen, out=np.zeros_like(part.spreads))
-    grown /= _DIFFERENCE
-    told = float(np.sum(miss**2) + 0.5 * np.sum(grown**2))
-    return (miss, grown) if told > _IDLE else (np.zeros_like(miss), np.zeros_like(grown))

@@ -324,7 +324,7 @@ def _round_caveats(r: Saved) -> list[str]:
         for effect, reason in (r.get("rejected") or {}).items()
     ]
     notes += [
-        f"Round {r['round']}: {label_words(effect)} was removed: superfluous beside the others."
+        f"Round {r['round']}: {label_words(effect)} was removed: superfluous beside later findings."
         for effect in r.get("retired", ())
     ]
     return notes

@@ -98,7 +98,7 @@ def _admission_text(item: Round) -> Text:
         if aliases:
             text.append(f"\ncannot be told from: {', '.join(aliases)}", style="yellow")
     for label in item.retired:
-        text.append(f"\nremoved {label}: superfluous beside it", style="dim")
+        text.append(f"\nremoved {label}: superfluous beside later findings", style="dim")
     named = {alias for label in item.admitted for alias in item.aliases.get(label, ())}
     for label, reason in item.rejected.items():
         if item.left_out.get(label) != reason and label not in named:

@@ -26,6 +26,7 @@ from spiral.inference.likelihood.smaller_forces import replace_large_forces
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.admission import compare_likelihood_fit, finish_fit
+from spiral.inference.strategies.likelihood.superfluous import drop_superfluous_effects
 
 
 def fit_with_noise_growth(
@@ -71,8 +72,7 @@ def refit_with_noise_growth(
     )
     if likelier is None:
         return None
-    other, grown = likelier
-    return compare_likelihood_fit(other, grown, progress)
+    return _compare_without_needless(*likelier, progress)
 
 
 def refit_with_smaller_forces(
@@ -91,7 +91,7 @@ def refit_with_smaller_forces(
     fit = finish_fit(assembly, fit, progress)
     if largest_force(fit.estimate.noise) > limit:
         return None
-    return compare_likelihood_fit(assembly, fit, progress)
+    return _compare_without_needless(assembly, fit, progress)
 
 
 def refit_with_resonant_force(
@@ -102,4 +102,15 @@ def refit_with_resonant_force(
     fit = add_resonant_force(assembly, fit, progress)
     if fit is None:
         return None
-    return compare_likelihood_fit(assembly, finish_fit(assembly, fit, progress), progress)
+    return _compare_without_needless(assembly, finish_fit(assembly, fit, progress), progress)
+
+
+def _compare_without_needless(
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+) -> RefittedModel:
+    """A fit beside other noise, compared, without effects that this noise makes needless.
+
+    An offset may have been there for what is noise that grows with its reading.
+    """
+    fit, gone = drop_superfluous_effects(assembly, fit)
+    return compare_likelihood_fit(assembly, fit, progress, gone)

@@ -18,9 +18,9 @@ from spiral.types.model import Model
 
 
 def drop_superfluous_effects(
-    assembly: Assembly, fit: LikelihoodFit, latest: str
+    assembly: Assembly, fit: LikelihoodFit, latest: str = ""
 ) -> tuple[LikelihoodFit, tuple[str, ...]]:
-    """Drop effects admitted earlier that the record no longer supports."""
+    """Drop effects admitted earlier, before the ``latest``, that the record no longer supports."""
     gone: list[str] = []
     for variant in admitted_variants(assembly, fit, latest):
         keys = amplitude_keys(assembly, variant)
