@@ -77,3 +77,15 @@ def test_noise_is_tuned_as_well_with_fewer_runs_of_the_filter(monkeypatch):
     corrected, anew = np.reshape(heights, (2, -1))
     assert runs[0] < 0.8 * runs[1]
     assert np.mean(corrected - anew) > -0.5  # of 4500; a rough search ends at 0.75 a step
+
+
+def test_a_size_that_comes_back_from_its_least_value_has_its_slopes_made():
+    """It had none when the others were made, and carried on."""
+    prepared, noise, at = begun()
+    kept = SlopeCache().made_at(noise, {n: x for n, x in at.kept.sizes.items() if n != "white.x"})
+    assert kept.are_far(noise, ("white.x",), 0.7)
+    assert kept.are_stale(noise, ("white.x",), 0.7)
+    step = {TERM.size: 0.3}
+    larger = noise.with_values({TERM.size: noise.values[TERM.size] * np.exp(0.3)})
+    after = predict_cases([(prepared, larger)])[0]
+    assert kept.carried(at.predictions, after, larger, step).are_far(larger, ("white.x",), 0.7)

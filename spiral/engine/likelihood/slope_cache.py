@@ -50,11 +50,18 @@ class SlopeCache:
 
     def are_stale(self, noise: NoiseModel, names: Sequence[str], moved: float) -> bool:
         """Whether slopes by a size are missing, or its logarithm has moved by more since made."""
-        return _have_moved(self.at, noise, names, moved)
+        return self._have_moved(self.at, noise, names, moved)
 
     def are_far(self, noise: NoiseModel, names: Sequence[str], moved: float) -> bool:
         """Whether slopes by a size are missing, or it has moved by more since they were carried."""
-        return _have_moved(self.near, noise, names, moved)
+        return self._have_moved(self.near, noise, names, moved)
+
+    def _have_moved(
+        self, since: Mapping[str, float], noise: NoiseModel, names: Sequence[str], moved: float
+    ) -> bool:
+        return any(
+            n not in self.sizes or abs(np.log(noise.values[n] / since[n])) > moved for n in names
+        )
 
     def made_at(self, noise: NoiseModel, sizes: Beside) -> SlopeCache:
         """With slopes by sizes made at this noise."""
@@ -76,10 +83,8 @@ class SlopeCache:
         for r, (old, new) in enumerate(zip(before, after, strict=True)):
             seen = (old.spreads > 0) & (new.spreads > 0)
             change = np.where(seen, new.misses - old.misses, 0.0)
-            grown = np.zeros_like(change)
-            np.log(
-                np.divide(new.spreads, old.spreads, where=seen, out=np.ones_like(change)), out=grown
-            )
+            ratio = np.divide(new.spreads, old.spreads, where=seen, out=np.ones_like(change))
+            grown = np.log(ratio)
             miss = {n: _unweighted(self.sizes[n][r][0], old) for n in step}
             for n, b in step.items():
                 change = change - miss[n] * b
@@ -89,12 +94,6 @@ class SlopeCache:
                 sizes[n].append((here, self.sizes[n][r][1] + grown * (b / length)))
         kept = {**self.sizes, **{n: tuple(each) for n, each in sizes.items()}}
         return replace(self, sizes=kept, near=dict(noise.values))
-
-
-def _have_moved(
-    since: Mapping[str, float], noise: NoiseModel, names: Sequence[str], moved: float
-) -> bool:
-    return any(n not in since or abs(np.log(noise.values[n] / since[n])) > moved for n in names)
 
 
 def _unweighted(slopes: Array, part: Prediction) -> Array:
