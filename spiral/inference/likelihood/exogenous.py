@@ -13,7 +13,8 @@ that explains most there is judged by the share of f that it explains
 on the other half, and the halves change places. Where f is random the same figure comes out of f
 shifted in time against s, whatever the spectra of both are (a circular shift; the surrogate of
 Andrzejak and others 2003, Phys. Rev. E 68): f is no chance where no shift by a tenth of the record
-or more does as well, and more than a quarter of it is explained.
+or more does half as well, and more than a quarter of it is explained. Of what changes slowly few
+shifts are independent, and one of ten does best by chance once in ten times.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _LAGS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the time in which s changes by its devia
 _FURTHEST = 4.0  # deviations, up to which curves go on
 _SHARP, _CORNERS = 3.0, (-1.0, -0.5, 0.0, 0.5, 1.0)  # of rounded steps, tanh(3 (s - corner))
 _SHARE = 0.25  # of the force's mean square
+_LEAD = 2.0  # times what any other shift explains
 _NEAR = 0.1  # share of the record by which a shifted force is another one
 _MOST = 16_384  # samples that are asked
 _ROOM = 2e7  # numbers that transitions of all samples may hold
@@ -136,7 +138,7 @@ def _explained(
     told += [(name, lag) for name, (_, lag) in zip(echoing, echoes, strict=True)]
     source, lag = told[int(np.argmax(each))]
     far = np.arange(reach, count - 2 * reach)  # no lag of an echo comes near to none there
-    if not (share[0] >= _SHARE and share[0] > share[far].max(initial=-np.inf)):
+    if not (share[0] >= _SHARE and share[0] > _LEAD * max(share[far].max(initial=0.0), 0.0)):
         return None
     return FollowedForce(state, source, lag, float(share[0]))
 
