@@ -138,7 +138,7 @@ def _explained(
     told += [(name, lag) for name, (_, lag) in zip(echoing, echoes, strict=True)]
     source, lag = told[int(np.argmax(each))]
     far = np.arange(reach, count - 2 * reach)  # no lag of an echo comes near to none there
-    if not (share[0] >= _SHARE and share[0] > _LEAD * max(share[far].max(initial=0.0), 0.0)):
+    if not (share[0] >= _SHARE and share[0] > _LEAD * share[far].max(initial=0.0)):
         return None
     return FollowedForce(state, source, lag, float(share[0]))
 

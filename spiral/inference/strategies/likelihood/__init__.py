@@ -4,6 +4,7 @@
 ``propose``: a round: candidates scored, raced, refitted and tested.
 ``accepted``: what comes of these tests.
 ``admission``: the tests that a candidate must pass, and the model with it.
+``meaning``: fitted values that make no sense for an effect.
 ``superfluous``: admitted effects that a later one makes superfluous.
 ``twins``: effects that do elsewhere what another does (a late sensor, a late input).
 ``look_alikes``: candidates that the record did not distinguish, tested again.
