@@ -41,8 +41,7 @@ _SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to ma
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 _GREW = 1.05  # times itself, from which the free run of fitted records is worse
-SMALL_PART = 0.25
-"""Of an error that is left: what takes less of it away, in squares, takes little."""
+_SMALL_PART = 0.25  # of the error that is left: a sixteenth of its square
 _CHANCE = 2.0  # standard errors that an error ahead grows by chance once in forty
 _COLOUR = 0.25  # share of what is left, half its deviation, up to which its own past may tell it
 
@@ -75,6 +74,14 @@ def has_own_colour(comparison: Comparison, settings: Settings) -> bool:
     little = has_little_colour(comparison.whiteness_p, comparison.whiteness_effect, settings)
     alone = comparison.followed is not None and comparison.followed <= settings.smallest**2
     return not little and alone and comparison.whiteness_effect <= _COLOUR
+
+
+def takes_little(before: float, after: float) -> bool:
+    """Whether little of an error is taken away, beside what random forces make of it.
+
+    That no effect takes away, and errors of several causes add up in squares.
+    """
+    return before**2 <= (1 + _SMALL_PART**2) * after**2
 
 
 def evidence_chi2(comparison: Comparison) -> float:

@@ -24,7 +24,6 @@ from spiral.inference.identifiability.undetermined import (
     has_tied_effects,
 )
 from spiral.inference.nearness import (
-    SMALL_PART,
     evidence_chi2,
     has_own_colour,
     is_error_unexplained,
@@ -38,6 +37,7 @@ from spiral.inference.nearness import (
     noise_factor,
     predicts_nothing,
     shortfalls,
+    takes_little,
     unexplained_error_growth,
 )
 from spiral.inference.problem import Settings
@@ -50,7 +50,7 @@ from spiral.types.run import UNTOLD, Comparison, Round, StopReason, Verdict
 from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"
-"""Key of a round's details: by effect, |t| by a likelihood ratio."""
+"""Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
 _MOST_AT_RANDOM = 0.5  # of the machine's own forces, and of its motion
 
 _VERDICTS = {
@@ -129,11 +129,10 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
 
     Much is left where there are ``shortfalls``, or where random forces are to explain an error of
     free runs that is larger than the noise. Little is ``settings.smallest`` or less of that error
-    on unseen data, where it is not carried away. What forces make of it no effect can take away,
-    and errors of several causes add up in squares: beside them little is what is less than
-    ``SMALL_PART`` of the error that is left, also some time ahead. Beside random forces of more
-    than ``_MOST_AT_RANDOM`` of the machine's own that make as much of a free run, what moves it is
-    not known. Of a state that follows at once the rate is small, and a small force much beside it.
+    on unseen data, where it is not carried away; beside forces little is what ``takes_little``
+    says, also some time ahead. Beside random forces of more than ``_MOST_AT_RANDOM`` of the
+    machine's own that make as much of a free run, what moves it is not known. Of a state that
+    follows at once the rate is small, and a small force much beside it.
     """
     first, last = rounds[0].comparison, rounds[-1].comparison
     if len(rounds) < 2:
@@ -148,7 +147,7 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
         return False
     fallen = [(c.before, c.after) for c in changes(first.unseen, last.unseen)]
     fallen.append((first.test_error, last.test_error))
-    return all(before**2 <= (1 + SMALL_PART**2) * after**2 for before, after in fallen)
+    return all(takes_little(before, after) for before, after in fallen)
 
 
 def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:

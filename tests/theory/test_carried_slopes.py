@@ -14,10 +14,10 @@ TERM = NoiseTerm("coloured", "x")
 MORE = {TERM.size: 0.02, "coloured.time": 0.03}
 
 
-def begun(noise=None):
+def begun():
     """Predictions at first sizes of the noise, with slopes made there."""
     prepared = (task_of(shaken(3, 0.3)),)
-    noise = noise or first_noise(prepared[0][0], 0.1).with_terms((TERM,), MORE)
+    noise = first_noise(prepared[0][0], 0.1).with_terms((TERM,), MORE)
     at = maximise_likelihood(prepared, (), noise, steps=0)
     return prepared, noise, _Search(()).with_size_slopes(at)
 
@@ -57,7 +57,7 @@ def test_a_step_that_is_too_short_tells_nothing():
 
 
 def test_noise_is_tuned_as_well_with_fewer_runs_of_the_filter(monkeypatch):
-    """From first sizes of ten kinds of noise, with slopes corrected and with slopes made anew."""
+    """From first sizes of nine kinds of noise, with slopes corrected and with slopes made anew."""
     from spiral.engine.likelihood import fit
 
     prepared, runs, whole, heights = (task_of(record_of(0)),), [], fit.vary_noise, []

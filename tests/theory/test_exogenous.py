@@ -74,18 +74,19 @@ def test_chance_is_called_chance(keep):
         assert _explained("v", relaxed(rng, 1500, keep), curves_of(sources), sources) is None
 
 
-def test_what_changes_slowly_is_seldom_taken_for_what_follows_a_ramp():
+@pytest.mark.parametrize("seed", [7, 8])
+def test_what_changes_slowly_is_seldom_taken_for_what_follows_a_ramp(seed):
     """Of a force as slow as the record few shifts are independent: the best of ten is chance.
 
     A battery that empties, with nothing hidden, was told a flow that follows its charge.
     """
-    rng, told = np.random.default_rng(5), 0
+    rng, told = np.random.default_rng(seed), 0
     for _ in range(60):
         ramp = np.cumsum(np.abs(relaxed(rng, 1500, 0.98)) + 0.3)
         sources = {"d": ramp / ramp[-1], "x": relaxed(rng, 1500, 0.998)}
         force = relaxed(rng, 1500, 0.9999)
         told += _explained("v", force, curves_of(sources), sources) is not None
-    assert told <= 3
+    assert told <= 2
 
 
 def test_what_switches_late_is_found_with_its_source_and_delay():

@@ -8,9 +8,9 @@ import numpy as np
 
 from spiral.inference.disturbances import random_forces, what_acts
 from spiral.inference.nearness import (
-    SMALL_PART,
     is_drowned_in_noise,
     leaves_less_than_noise,
+    takes_little,
     unexplained_error_growth,
 )
 from spiral.inference.problem import Settings
@@ -111,10 +111,8 @@ def _reduction_size(before: float, after: float) -> float:
 def _force_replacement_share(before: Comparison, after: Comparison) -> float:
     """How far an effect replaces random forces that moved the free runs: the share that is gone.
 
-    Free runs of fitted and test records must improve with it. What the forces that are left make of
-    them no effect takes away, and errors of several causes add up in squares: what is taken away
-    must be ``SMALL_PART`` or more of what is left. An effect with states of its own is a force with
-    a memory itself: none.
+    Free runs of fitted and test records must improve with it, by more than little. An effect with
+    states of its own is a force with a memory itself: none.
     """
     forces = [max(random_forces(c).values(), default=0.0) for c in (before, after)]
     new = [e for e in after.model.effects if e.label not in before.model.labels]
@@ -122,6 +120,6 @@ def _force_replacement_share(before: Comparison, after: Comparison) -> float:
         return 0.0
     pairs = [(before.fit_error, after.fit_error)]
     pairs += [(before.test_error, after.test_error)] if after.unseen else []
-    if min(_reduction_size(*pair) for pair in pairs) < SMALL_PART:
+    if any(takes_little(*pair) for pair in pairs):
         return 0.0
     return 1.0 - forces[1] / forces[0]
