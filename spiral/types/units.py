@@ -41,6 +41,7 @@ _GRAVITY = {"g": 9.80665, "mg": 9.80665e-3}  # of an acceleration, where pint re
 _PER_TURN = {"hz": 2 * math.pi, "1/s": 2 * math.pi, "rpm": 2 * math.pi / 60, "rps": 2 * math.pi}
 _PER_TURN |= {f"{turn}/min": 2 * math.pi / 60 for turn in ("1", "u", "r", "rev")}
 _PER_TURN |= {f"{turn}/s": 2 * math.pi for turn in ("u", "r", "rev")}
+_LAST = {"meter": 1, "kelvin": 2, "second": 3, "radian": 4}  # factors of a unit, in this order
 _ALIASES = ("ohm = Ohm", "turn = rev", "torr = Torr")
 
 
@@ -55,7 +56,13 @@ def registry() -> Any:
         units = pint.UnitRegistry()
     for name in _ALIASES:
         units.define(f"@alias {name}")
+    units.formatter.default_sort_func = _usual_order
     return units
+
+
+def _usual_order(items: Iterable[tuple[str, Any, str]], _: Any) -> list[tuple[str, Any, str]]:
+    """Factors of a unit as engineers order them: ``N*m*s``, which by the alphabet is ``m*N*s``."""
+    return sorted(items, key=lambda item: (_LAST.get(item[2], 0), item[0]))
 
 
 @lru_cache(maxsize=512)

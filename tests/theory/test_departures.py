@@ -119,7 +119,7 @@ def test_noise_that_grows_from_zero_is_told_of_a_reading_that_is_never_negative(
     misses = (0.03 * reading * rng.normal(size=2000))[:, None]
     spreads = np.full((2000, 1), float(np.var(misses)))
     part = SimpleNamespace(misses=misses, spreads=spreads, whitened=misses / np.sqrt(spreads))
-    series = SimpleNamespace(y=reading[:, None] + misses, dt=0.01)
+    series = SimpleNamespace(y=reading[:, None] + misses, dt=0.01, grown=None)
     compiled = SimpleNamespace(traced=SimpleNamespace(channels=("c",)))
     task = SimpleNamespace(series=series, compiled=compiled)
     (told,) = shapes_told(SimpleNamespace(prepared=((task, None),), predictions=(part,)))

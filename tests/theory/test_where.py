@@ -1,6 +1,7 @@
 """The sentence that says where a model fails, on machines whose fault is known."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from spiral.inference.where.orders import (
     order_map,
     time_map,
 )
-from spiral.inference.where.regions import locate_failure
+from spiral.inference.where.regions import _channels_in_unit_of, locate_failure
 from spiral.types.effect import Effect
 from spiral.types.model import seed_model
 from tests.scenes import planar_record
@@ -131,6 +132,16 @@ def test_noise_alone_has_no_sentence_about_speed():
 
 OSCILLATOR = {"system.mass": 2.0, "linear_stiffness.stiffness": 800.0,
               "linear_damping.damping": 1.6}  # fmt: skip
+
+
+def test_the_size_of_a_motion_mixes_no_units():
+    """Leaves in kg/m^2 beside insects in 1/m^2, thousands of times as large a number."""
+    channels = {"leaves": np.arange(4.0), "insects": 1e3 * np.arange(4.0), "eggs": np.ones(4)}
+    units = {"leaves": "kg/m^2", "insects": "1/m^2", "eggs": "1/m^2"}
+    system = SimpleNamespace(observed=tuple(channels), unit_of=units.get)
+    seen = SimpleNamespace(record=SimpleNamespace(channels=channels))
+    assert _channels_in_unit_of("leaves", seen, system).tolist() == [[0.0], [1.0], [2.0], [3.0]]
+    assert _channels_in_unit_of("eggs", seen, system)[:, 0].tolist() == [0.0, 1e3, 2e3, 3e3]
 
 
 @pytest.fixture(scope="module")

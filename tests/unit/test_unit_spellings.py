@@ -8,7 +8,7 @@ from spiral_plugins.effects.sensors import Gain
 
 from spiral.physics.formulas.definition import parse_sections
 from spiral.types.errors import ConfigError, near_misses
-from spiral.types.units import base_form, conversion
+from spiral.types.units import base_form, conversion, short_form
 
 WRITTEN = [
     ("Nm", "N*m"), ("kNm", "kN*m"), ("mNm", "mN*m"), ("Nm/rad", "N*m/rad"),
@@ -27,6 +27,13 @@ def test_a_unit_written_together_is_a_product(written, meant):
     factor, powers = base_form(written)
     expected, powers_of_expected = base_form(meant)
     assert (factor, powers) == (pytest.approx(expected), powers_of_expected)
+
+
+@pytest.mark.parametrize(
+    "unit", ["N*m", "N*m*s/rad", "V*s/rad", "kg*m^2", "W/m/K", "J/kg/K", "N*m/A", "A*s"]
+)
+def test_a_product_is_shown_in_the_order_that_engineers_use(unit):
+    assert short_form(unit) == short_form(f"1*{unit}") == unit
 
 
 @pytest.mark.parametrize("unit", ["m", "mm", "nm", "ms", "s", "kg", "min", "N/m", "mN", "Pa", "km"])

@@ -219,8 +219,12 @@ def _estimate_drift(e: Array, column: Array, beyond: Array, width: int) -> _Drif
 
 
 def _noise_shape_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
-    """Sentences on channels whose noise grows with reading or speed, or has heavy tails."""
+    """Sentences on channels whose noise grows with reading or speed, or has heavy tails.
+
+    Growth is not told of a channel that the fit weights by it (``_noise_weighting_remarks``).
+    """
     channels = estimate.prepared[0][0].compiled.traced.channels
+    weighted = _weighted_channels(estimate)
     told = []
     for j, name in enumerate(channels):
         e, h, mean = _channel_innovations(estimate, j)
@@ -241,11 +245,11 @@ def _noise_shape_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
                 f"the noise of sensor {name} grows with how fast its reading changes, as where its "
                 f"clock is off by {number(seconds, 2)} s (rms) from sample to sample (jitter)"
             )
-        elif growth[0] > tails[0]:
+        elif growth[0] > tails[0] and j not in weighted:
             told.append(
                 f"the noise of sensor {name} grows with {_describe_noise_growth(growth, h + mean)}"
             )
-        else:
+        elif tails[0] > _TOLD:
             told.append(
                 f"the noise of sensor {name} has heavy tails (outliers), like Student's t with "
                 f"{number(tails[1], 2)} degrees of freedom: {_outlier_share(e)} are more than 4 "
@@ -271,14 +275,19 @@ def _describe_noise_growth(growth: tuple[float, float, bool], h: Array) -> str:
 def _noise_weighting_remarks(estimate: MaximumLikelihood) -> Iterator[str]:
     """Sentences on noise that grows with its reading, where the fit is weighted accordingly."""
     task = estimate.prepared[0][0]
-    for j, name in enumerate(task.compiled.traced.channels):
-        if task.series.grown is not None and (task.series.growth[j] is not None):
-            low, high = np.quantile(np.sqrt(task.series.grown[:, j]), (0.05, 0.95))
-            times = number(float(high / low), 2)
-            yield (
-                f"the noise of sensor {name} grows with its reading, {times}-fold over the middle "
-                "90 % of its values, and the fit weights its readings accordingly"
-            )
+    for j in _weighted_channels(estimate):
+        low, high = np.quantile(np.sqrt(task.series.grown[:, j]), (0.05, 0.95))
+        yield (
+            f"the noise of sensor {task.compiled.traced.channels[j]} grows with its reading, "
+            f"{number(float(high / low), 2)}-fold over the middle 90 % of its values, and the fit "
+            "weights its readings accordingly"
+        )
+
+
+def _weighted_channels(estimate: MaximumLikelihood) -> tuple[int, ...]:
+    """Channels whose readings the fit weights by noise that grows with them."""
+    series = estimate.prepared[0][0].series
+    return () if series.grown is None else tuple(j for j, g in enumerate(series.growth) if g)
 
 
 def _line_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from spiral.inference.where.surface import ForceShape, best_shape, rank_force_sh
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
 from spiral.types.run import Where
+from spiral.types.system import System
 
 _MOST = 0.8  # share of the excess energy that a range holds
 _BINS = 40
@@ -115,19 +116,24 @@ def describe_failure(assembly: Assembly, seen: WorstRecord) -> Where:
     speed = (
         _range_of_excess(record.inputs["speed"], seen.excess) if "speed" in record.inputs else None
     )
-    amplitude = _range_of_excess(
-        envelope(np.column_stack(list(record.channels.values()))), seen.excess
-    )
+    energy = dict(zip(system.observed, np.sum(seen.error**2, axis=0), strict=True))
+    channel = max(seen.channels, key=lambda name: energy[name])
+    amplitude = _range_of_excess(envelope(_channels_in_unit_of(channel, seen, system)), seen.excess)
     order = _failure_order(seen)
     frequency = _failure_frequency(seen.error, record.dt)
     state, share = _state_of_missing_force(assembly, seen)
-    energy = dict(zip(system.observed, np.sum(seen.error**2, axis=0), strict=True))
-    channel = max(seen.channels, key=lambda name: energy[name])
     ranges = Where(
         channel, "", time, frequency, speed, order, amplitude,
         state.state if state else None, state.power if state else None, share, seen.channels,
     )  # fmt: skip
     return Where(**{**vars(ranges), "sentence": _failure_sentence(ranges, state, seen, system)})
+
+
+def _channels_in_unit_of(channel: str, seen: WorstRecord, system: System) -> Array:
+    """Readings (samples, channels) of one unit, as a motion has one size in no mix of units."""
+    unit = system.unit_of(channel)
+    alike = [name for name in system.observed if system.unit_of(name) == unit]
+    return np.column_stack([seen.record.channels[name] for name in alike])
 
 
 def _state_of_missing_force(
@@ -235,7 +241,9 @@ def _nearest_order(order: tuple[float, float]) -> int:
     return round(float(np.mean(order)))
 
 
-def _failure_sentence(ranges: Where, state: ForceShape | None, seen: WorstRecord, system) -> str:
+def _failure_sentence(
+    ranges: Where, state: ForceShape | None, seen: WorstRecord, system: System
+) -> str:
     parts = []
     turning = np.ptp(seen.record.inputs["speed"]) > 0 if "speed" in seen.record.inputs else False
     if ranges.speed_rad_s is not None:
@@ -252,7 +260,7 @@ def _failure_sentence(ranges: Where, state: ForceShape | None, seen: WorstRecord
     if state is not None:
         parts.append(_describe_state(state))
     elif ranges.amplitude is not None and ranges.order is None and not turning:
-        unit = system.unit_of(system.observed[0])
+        unit = system.unit_of(ranges.channel)
         low, high = ranges.amplitude
         parts.append(f"at amplitudes of {low:.3g} to {high:.3g} {unit}")
     elif seen.missing is not None:
