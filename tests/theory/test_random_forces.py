@@ -66,6 +66,14 @@ def test_a_free_run_is_carried_no_further_than_two_motions_differ():
     assert 0.5 * most < np.median(spread) <= np.max(spread) <= most * (1 + 1e-9)
 
 
+def test_forces_without_bounds_carry_a_free_run_as_far_as_can_be():
+    """A value that ran away leaves them no covariance; that is told, and ends no study."""
+    record = record_of(0)
+    task, settings = task_of(record)
+    spread = free_spread(task, settings, first_noise(task, np.inf))[:, 0]
+    assert spread == pytest.approx(np.sqrt(2) * np.std(record.channels["x"]))
+
+
 def test_slow_noise_counts_by_how_far_it_goes_over_the_record():
     """A zero of four deviations, taken for noise that hardly moves: the reading still shows x."""
     record = record_of(3)

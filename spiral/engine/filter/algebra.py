@@ -180,12 +180,12 @@ def _write_absorb(module: ir.Module) -> None:
     spent = b.alloca(DOUBLE)
     with for_loop(b, total, LANES) as column:
         store_lanes(b, ZEROS, work, column)
-    with _loop_nonzero_weights(b, c, size) as (k, weight), for_loop(b, total, LANES) as column:
+    with loop_nonzero_weights(b, c, size) as (k, weight), for_loop(b, total, LANES) as column:
         row = load_lanes(b, m, b.add(b.mul(k, total), column))
         added = add_product(b, load_lanes(b, work, column), broadcast_lanes(b, weight), row)
         store_lanes(b, added, work, column)
     b.store(r, spent)
-    with _loop_nonzero_weights(b, c, size) as (k, weight):
+    with loop_nonzero_weights(b, c, size) as (k, weight):
         b.store(add_product(b, b.load(spent), weight, b.load(b.gep(work, [k]))), spent)
     over = broadcast_lanes(b, b.fdiv(number(1.0), b.load(spent)))
     moved, back = broadcast_lanes(b, miss), broadcast_lanes(b, b.fneg(r))
@@ -195,7 +195,7 @@ def _write_absorb(module: ir.Module) -> None:
         store_lanes(b, own, gain, column)
         store_lanes(b, add_product(b, load_lanes(b, x, column), own, moved), x, column)
         store_lanes(b, b.fmul(back, own, flags=FUSED), rest, column)
-    with _loop_nonzero_weights(b, c, size) as (k, weight):  # rest = t
+    with loop_nonzero_weights(b, c, size) as (k, weight):  # rest = t
         other = broadcast_lanes(b, b.load(b.gep(work, [k])))
         with for_loop(b, size, LANES) as column:
             place, own = b.add(b.mul(k, total), column), load_lanes(b, work, column)
@@ -241,7 +241,7 @@ def _downdate_lanes(b: Any, m: Any, place: Any, own: Any, other: Any, over: Any)
 
 
 @contextmanager
-def _loop_nonzero_weights(b: Any, c: Any, size: Any) -> Iterator[tuple[Any, Any]]:
+def loop_nonzero_weights(b: Any, c: Any, size: Any) -> Iterator[tuple[Any, Any]]:
     """A loop over the entries of a reading's row c that are not zero: k and c_k."""
     with for_loop(b, size) as k:
         weight = b.load(b.gep(c, [k]))

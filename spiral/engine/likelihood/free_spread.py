@@ -40,13 +40,17 @@ def draw_free_misses(
 ) -> Iterator[Array]:
     """(samples, channels) that each of 8 to 64 drawn motions is off by.
 
-    It is as large as it can be from where a motion leaves all bounds. The motions of one record and
-    ``seed`` are drawn from the same numbers.
+    It is as large as it can be from where a motion leaves all bounds, and all along where a random
+    force would move it without bounds from the first sample. The motions of one record and ``seed``
+    are drawn from the same numbers.
     """
     most = np.sqrt(2.0) * task.series.deviations
     parts, n = noise_matrices(task, settings, noise.without(*COLOURED, "drift")), len(task.states)
     samples, substeps = task.series.samples, task.series.substeps
     count = int(np.clip(_STEPS // max((samples - 1) * substeps, 1), _FEWEST, _MOST))
+    if not np.isfinite(parts.q).all():
+        yield from [np.broadcast_to(most, (samples, len(most))).copy() for _ in range(count)]
+        return
     rng = np.random.default_rng(seed)
     white, forces = (
         _scaled_covariance_root(parts.q[:n, :n], task.scales),

@@ -37,9 +37,7 @@ from spiral.engine.likelihood.steady import (
     CALM,
     absorb_steadily,
     count_calm,
-    is_read_alike,
     is_same_reading,
-    is_stationary,
     store_slopes,
 )
 from spiral.engine.likelihood.transition import (
@@ -47,10 +45,8 @@ from spiral.engine.likelihood.transition import (
     advance_noise_states,
     apply_transition,
     compressed_rows,
-    copy_model_columns,
     entries_in,
     entries_of,
-    load_flow,
     store_flow,
     store_transition,
     transition_covariance,
@@ -144,7 +140,7 @@ def _store_sample(k, c, x, kept, spreads, rows, means, gains):
 
 
 @nb.njit(**INNER, fastmath=_FAST)
-def _advance_sample(
+def advance_sample(
     flow, watch, x, inputs, k, substeps, dt, values, same, f, work, own, own_work, alike
 ):  # fmt: skip
     """x a sample on, and its slopes f by states and parameters.
@@ -226,7 +222,7 @@ def _predict_along(
             break
         write_tracked(values, followed, followed_states)
         add_forces(x, driven, entries, first, half)
-        _advance_sample(flow, watch, x, inputs, k, substeps, dt, values, constant and k > 0, f,
+        advance_sample(flow, watch, x, inputs, k, substeps, dt, values, constant and k > 0, f,
                         work, own, own_work, alike)  # fmt: skip
         store_flow(k, f, flows)
         add_forces(x, driven, entries, first, half)
@@ -280,7 +276,7 @@ def predict_record(
     slopes : (samples, channels, width) out: d. means : (samples, N) out, or no rows.
     transitions, gains, rows : (samples, N, N) F, (samples, channels, N) K and c out, for
         ``propagate_signatures``, or no rows. flows : (samples, n, n + tracked) out: A by states and
-        tracked parameters without forces, for ``vary_record``, or no rows.
+        tracked parameters without forces, for ``variation_kernel.vary_record``, or no rows.
 
     Returns
     -------
@@ -309,149 +305,4 @@ def predict_record(
         (entries_in(phi, columns, ends), columns, ends), f, work, p, later, a, turned, x, c, d,
         scratch, space, h, cx, cv, own, own_work, kept, kept_rows, np.zeros(size), s, s_later,
         watch, memory_of_transitions(n, varying),
-    )  # fmt: skip
-
-
-@nb.njit(**INNER, fastmath=_FAST)
-def _absorb_varied(
-    absorb, k, x, p, rows, gains, before, seen, r, scratch, none, work, misses, spreads, kept,
-    steady,
-):  # fmt: skip
-    """Update at one sample under other noise; x is the mean less that of the first run.
-
-    ``kept`` (channels, N + 1): K and s, out, or in where they are ``steady``.
-    """
-    size, c, gain = rows.shape[2], scratch[:1], scratch[1]
-    for j in range(len(misses)):
-        misses[j] = spreads[j] = 0.0
-        if not seen[k, j] > 0.0:
-            continue
-        misses[j] = before[k, j]
-        for i in range(size):
-            c[0, i] = rows[k, j, i]
-            misses[j] -= rows[k, j, i] * x[i]
-        if steady:
-            spreads[j] = kept[j, size]
-            for i in range(size):
-                x[i] += kept[j, i] * misses[j] - gains[k, j, i] * before[k, j]
-            continue
-        spreads[j] = absorb(x, p, c, none, 0, r[min(k, len(r) - 1), j], misses[j], gain, work)
-        for i in range(size):
-            kept[j, i] = gain[i]
-            x[i] -= gains[k, j, i] * before[k, j]
-        kept[j, size] = spreads[j]
-
-
-@nb.njit(**INNER, fastmath=_FAST)
-def _propagate_departure(x, a, z, phi, before, n, first, later):
-    """x <- F x + (Phi - Phi_0) z, F with this Phi."""
-    k = phi.shape[0]
-    for i in range(n):
-        later[i] = 0.0
-        for j in range(first + k):
-            later[i] += a[i, j] * x[j]
-    for i in range(k):
-        later[first + i] = 0.0
-        for j in range(k):
-            later[first + i] += (phi[i, j] - before[i, j]) * z[first + j]
-            later[first + i] += phi[i, j] * x[first + j]
-    for i in range(n):
-        x[i] = later[i]
-    for i in range(first, first + k):
-        x[i] = later[i]
-
-
-@nb.njit(**LOOP, fastmath=_FAST)
-def _vary_along(
-    values, flow, product, lower, sparse, absorb, followed, inputs, substeps, dt, phi, driven,
-    constant, means, gains, rows, flows, before, seen, r, q, phis, misses, spreads,
-    n, first, followed_states, entries, columns, ends, links, none, f, work, p, x, here, later,
-    scratch, space, w, a, turned, own, own_work, kept, variances, calm, watch, alike,
-):  # fmt: skip
-    """The loop of ``vary_record``, in arrays made before."""
-    samples, size = means.shape
-    unchanging = constant and first == n and r.shape[1] == 1
-    for k in range(samples):
-        usual = unchanging and k > 0 and is_read_alike(k, rows, seen)
-        for v in range(len(x)):
-            calm[v] = calm[v] if usual else 0
-            _absorb_varied(absorb, k, x[v], p[v], rows, gains, before, seen, r[v], scratch, none,
-                    space, misses[v, k], spreads[v, k], kept[v], calm[v] >= CALM)  # fmt: skip
-        if k == samples - 1:
-            break
-        same = constant and k > 0
-        if not same or first > n:  # else all of F is that of the sample before
-            if flows.shape[0] > 0:
-                load_flow(k, flows, f)
-            else:
-                for i in range(size):
-                    here[i] = means[k, i]
-                write_tracked(values, followed, followed_states)
-                add_forces(here, driven, entries, first, 0.5 * dt)
-                _advance_sample(flow, watch, here, inputs, k, substeps, dt, values, same, f, work,
-                                own, own_work, alike)  # fmt: skip
-            transition_rows(f, driven, entries, first, 0.5 * dt, a, turned[0])
-            for v in range(1, len(x)):
-                copy_model_columns(turned[0], n, turned[v])
-        for v in range(len(x)):
-            _propagate_departure(x[v], a, means[k], phis[v], phi, n, first, later)
-            if calm[v] >= CALM:
-                continue
-            own_links = (links[v], columns, ends)
-            apply_transition(product, sparse, a, own_links, p[v], w, n, first)
-            transition_covariance(lower, w, turned[v], q[v], p[v], size)
-            if unchanging:
-                calm[v] = calm[v] + 1 if is_stationary(p[v], variances[v], size) else 0
-
-
-@nb.njit(
-    types.void(
-        FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, PRODUCT, PRODUCT, SPARSE, ABSORB, _F1, _I1,
-        _F2, types.int64, types.float64, _F2, _F2, types.boolean, _F2, _F3, _F3, _F3, _F2, _F2,
-        _F3, _F3, _F3, _F3, _F3, _F3,
-    ),
-    cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
-)  # fmt: skip
-def vary_record(
-    flow, watch, varying, product, lower, sparse, absorb, values, followed, inputs, substeps, dt,
-    phi, driven, constant, means, gains, rows, flows, before, seen, starts, r, q, phis, misses,
-    spreads,
-):  # fmt: skip
-    """One-step predictions of a record under other models of its noise, along one filtered motion.
-
-    The filter is linear about the means of a run before: with F and c of that run, P follows from
-    the other noise, and with it how far a mean departs, d <- d + K e - K_0 e_0, e = e_0 - c d,
-    d <- F d. What is left out is that F would be made at another mean.
-
-    Parameters
-    ----------
-    flow : with slopes by the parameters ``followed``; others as in ``predict_record``. phi : Phi of
-        the run before.
-    means, gains, rows, flows, before, seen : what that run left: means, K, c, A, e and s; A is
-        made anew where it has no rows.
-    starts, r, q, phis : (noises, ..) covariance before the first sample, r, Q and Phi of each.
-    misses, spreads : (noises, samples, channels) out: e and s.
-    """
-    size = means.shape[1]
-    first, n = size - phi.shape[0], size - phi.shape[0] - len(followed)
-    f, work = slope_workspace(n, first)
-    own, own_work = slope_workspace(n, len(followed))
-    blank = _pad_covariance(starts[0], 0)
-    wide, p = len(blank), np.zeros((len(starts), *blank.shape))
-    x, here, later = np.zeros((len(starts), wide)), np.zeros(size), np.zeros(size)
-    scratch, space, w = np.zeros((2, wide)), np.zeros(2 * wide), np.zeros_like(blank)
-    a, turned = np.zeros((padded_width(n), size)), np.zeros((len(starts), size, wide))
-    p[:, :size, :size] = starts
-    columns, ends = compressed_rows(np.sum(np.abs(phis), axis=0))
-    links = np.zeros((len(starts), len(columns)))
-    for v in range(len(starts)):
-        turn_noise_rows(phis[v], n, turned[v])
-        links[v] = entries_in(phis[v], columns, ends)
-    _vary_along(
-        values, flow, product, lower, sparse, absorb, followed, inputs, substeps, dt, phi, driven,
-        constant, means, gains, rows, flows, before, seen, r, q, phis, misses, spreads,
-        n, first, here[:first], entries_of(driven), columns, ends, links, np.zeros((1, 0)), f, work,
-        p, x, here, later, scratch, space, w, a, turned, own, own_work,
-        np.zeros((len(starts), misses.shape[2], wide + 1)), np.zeros((len(starts), size)),
-        np.zeros(len(starts), dtype=np.int64), watch, memory_of_transitions(n, varying),
     )  # fmt: skip

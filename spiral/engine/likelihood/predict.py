@@ -15,11 +15,13 @@ import numpy as np
 
 from spiral.engine.filter.algebra import compiled_algebra
 from spiral.engine.filter.extended import FilterInputs, FilterSettings, tracked_indices
+from spiral.engine.filter.lane_algebra import compiled_lane_algebra
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, noise_matrices
 from spiral.engine.series import Series
 from spiral.engine.threads import run_in_threads
 from spiral.physics.flow import Flow, compile_flow
+from spiral.physics.lanes import LANES
 from spiral.physics.linearity import jacobian_names
 from spiral.physics.slope_bounds import SlopeBounds, compile_slope_bounds, no_slope_bounds
 from spiral.types.record import Array
@@ -171,28 +173,34 @@ def vary_noise(
 
     ``others`` have the terms of ``noise``, which is that of the run, with other values.
     """
-    from spiral.engine.likelihood.kernel import vary_record
+    from spiral.engine.likelihood.variation_kernel import vary_record
 
     tracked = tracked_indices(task, settings.tracked)
-    flow, compiled = _task_flow(task, settings), compiled_algebra()
-    first, parts = (
-        noise_matrices(task, settings, noise),
-        [noise_matrices(task, settings, n) for n in others],
-    )
-    p, q, phi = (np.array([getattr(m, a) for m in parts]) for a in ("p", "q", "phi"))
-    r = np.array([_white_variances(m.r, task.series) for m in parts])
-    misses, spreads = (np.zeros((len(others), *run.misses.shape)) for _ in range(2))
+    first = noise_matrices(task, settings, noise)
+    parts = [noise_matrices(task, settings, n) for n in others]
+    p, q, phi = (_in_lanes([getattr(m, a) for m in parts]) for a in ("p", "q", "phi"))
+    r = _in_lanes([_white_variances(m.r, task.series) for m in parts])
+    misses, spreads = (np.zeros((len(r), *run.misses.shape, LANES)) for _ in range(2))
     series = task.series
     constant = _is_transition_constant(task, settings)
     watched = _watched_slopes(task, settings, len(tracked), constant)
+    compiled = compiled_lane_algebra()
     vary_record(
-        flow.advance, watched.advance, watched.count,
-        compiled.product, compiled.lower, compiled.sparse, compiled.absorb, task.values.copy(),
-        tracked, task.inputs, series.substeps, series.dt, first.phi, first.driven,
-        constant, run.means, run.gains, run.rows, run.flows, run.misses,
+        _task_flow(task, settings).advance, watched.advance, watched.count, compiled.advance,
+        compiled.absorb, task.values.copy(), tracked, task.inputs, series.substeps, series.dt,
+        first.phi, first.driven, constant, run.means, run.gains, run.rows, run.flows, run.misses,
         run.spreads, p, r, q, phi, misses, spreads,
     )  # fmt: skip
-    return [(misses[j], spreads[j]) for j in range(len(others))]
+    lanes = [divmod(j, LANES) for j in range(len(others))]
+    return [(misses[b, ..., v].copy(), spreads[b, ..., v].copy()) for b, v in lanes]
+
+
+def _in_lanes(matrices: Sequence[Array]) -> Array:
+    """(blocks, rows, columns, lanes), four matrices to a block, the last one again where few."""
+    blocks = -(-len(matrices) // LANES)
+    full = [*matrices, *[matrices[-1]] * (blocks * LANES - len(matrices))]
+    shape = (blocks, LANES, *matrices[0].shape)
+    return np.ascontiguousarray(np.moveaxis(np.reshape(full, shape), 1, -1))
 
 
 def predict_cases(

@@ -11,7 +11,8 @@ import numba as nb
 from spiral.physics.lanes import INNER
 
 _FAST = {"contract", "reassoc"}
-_SETTLED = 1e-12  # of itself, by which a variance that is stationary changes from sample to sample
+SETTLED = 1e-12
+"""Of itself, by which a variance that is stationary changes from sample to sample."""
 CALM = 4
 """Samples in a row after which variances that hardly change are taken to be stationary."""
 
@@ -21,7 +22,7 @@ def is_stationary(p, variances, size):
     """Whether no variance differs from that of the sample before; ``variances`` are kept."""
     same = True
     for i in range(size):
-        same = same and abs(p[i, i] - variances[i]) <= _SETTLED * p[i, i]
+        same = same and abs(p[i, i] - variances[i]) <= SETTLED * p[i, i]
         variances[i] = p[i, i]
     return same
 

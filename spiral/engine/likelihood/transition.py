@@ -16,7 +16,8 @@ import numpy as np
 from spiral.physics.lanes import INNER
 
 _FAST = {"contract", "reassoc"}
-_NOTHING = 1e-280  # a variance, in any unit
+NOTHING = 1e-280
+"""A variance, in any unit, below which it is taken for zero."""
 
 
 @nb.njit(cache=True, nogil=True)
@@ -134,14 +135,6 @@ def turn_noise_rows(phi, n, turned):
 
 
 @nb.njit(**INNER)
-def copy_model_columns(turned, n, other):
-    """The columns of F^T that belong to x, in another F^T."""
-    for j in range(turned.shape[0]):
-        for i in range(n):
-            other[j, i] = turned[j, i]
-
-
-@nb.njit(**INNER)
 def store_flow(k, f, flows):
     """Slopes of a sample's flow by the states and tracked parameters, where they are kept."""
     if flows.shape[0] > 0:
@@ -171,7 +164,7 @@ def transition_covariance(lower, w, turned, q, m, size):
             m[i, j] += q[i, j]
             m[j, i] = m[i, j]
     for i in range(size):
-        if m[i, i] != 0.0 and abs(m[i, i]) < _NOTHING:
+        if m[i, i] != 0.0 and abs(m[i, i]) < NOTHING:
             for j in range(size):
                 m[i, j] = m[j, i] = 0.0
 

@@ -156,7 +156,11 @@ def _mean_free_run_error(fit: LikelihoodFit, white_noise_only: NoiseModel, masks
 def _with_noise_terms_of(
     assembly: Assembly, free: LikelihoodFit, fit: LikelihoodFit
 ) -> LikelihoodFit:
-    """The values of ``free`` with the noise terms of another fit, at their most likely sizes."""
+    """The values of ``free`` with the noise terms of another fit, at their most likely sizes.
+
+    That fit, where no filter stays with the record at the values of ``free``: one that acts only
+    where nothing was measured may have run away.
+    """
     known, keys = add_standard_errors(free.estimate), free.estimate.keys
     random = _random_force_errors(known, fit.estimate.noise)
     widened = np.array(known.widened)
@@ -164,6 +168,8 @@ def _with_noise_terms_of(
         white = known.regression.spread(1.0)[: len(keys)]
         widened = np.maximum(widened, np.hypot(1.0, random / white))
     noisy = maximise_likelihood(free.estimate.prepared, (), fit.estimate.noise, rough=True)
+    if not noisy.finite:
+        return fit
     parts = predict_cases([(noisy.prepared, noisy.noise)], keys, keep=True)[0]
     estimate = replace(
         noisy, keys=keys, predictions=parts, regression=known.regression, sizes=known.sizes,
