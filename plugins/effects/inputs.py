@@ -16,7 +16,7 @@ from spiral_plugins.effects.sensors import (
 )
 
 from spiral.math import tanh
-from spiral.types.effect import InputEffect
+from spiral.types.effect import InputEffect, StateFlow
 from spiral.types.parameter import Parameter, State
 
 _NEAR_TWO = 0.3  # around two, where a lag's share stands for a delay
@@ -191,3 +191,21 @@ class InputDelay(InputEffect):
         if values["time"] < 0:
             return f"no actuator is early: the input is recorded {-values['time']:.2g} s late"
         return half_sample_remark(values["time"], step)
+
+
+class InputCoupling(StateFlow):
+    """An input that also acts where the model gives it no path: x' = ... + c u, or a force c u.
+
+    Crosstalk of a drive to another axis, an electrode that is not aligned, the sun on a floor, a
+    heater that warms its neighbour, a rudder that rolls a ship. It has no delay of its own and no
+    threshold. Where the input follows a state (a controller's), it may look like what that state
+    does.
+    """
+
+    driver = "input"
+    parameters = (Parameter("gain", "force/position"),)
+
+    def flow(self, at, u, p):
+        """c u."""
+        (given,) = at.position
+        return [p.gain * given]

@@ -286,3 +286,19 @@ class MutualFlow(StateFlow):
         """c_1 x_1 x_2 and c_2 x_1 x_2."""
         both = at.position[0] * at.position[1]
         return [p.rate[0] * both, p.rate[1] * both]
+
+
+class StateCoupling(StateFlow):
+    """A state that also acts where the model gives it no path: x' = ... + c v, or a force c v.
+
+    v is of another unit: the back-EMF of a motor, the force of a coil, heat of a reaction that
+    warms its vessel, pressure that lifts a valve. It acts one way; of two ways each is one effect.
+    """
+
+    driver = "state"
+    parameters = (Parameter("gain", "force/position"),)
+
+    def flow(self, at, u, p):
+        """c v."""
+        (other,) = at.position
+        return [p.gain * other]

@@ -58,6 +58,22 @@ class Gain(SensorEffect):
         return scale_remark(1 + error for error in values.values())
 
 
+class CrossSensitivity(SensorEffect):
+    """A sensor that also reads something else: reading = y + c v, v an input or another state.
+
+    A drive that couples into a pick-off, a thermometer in the sun, a strain gauge that follows
+    temperature, a load cell that feels pressure, a gyro that feels the pull of gravity.
+    """
+
+    driver = "any"
+    parameters = (Parameter("gain", "force/position"),)
+
+    def reading(self, y, at, u, p):
+        """y + c v."""
+        (value,), (other,) = y, at.position
+        return [value + p.gain * other]
+
+
 class AxisRotation(SensorEffect):
     """A probe pair turned by a small angle: reading = (x + a y, y - a x), first order in a.
 

@@ -10,8 +10,9 @@ from spiral.types.effect import Effect, ForceEffect, ParameterEffect, SensorEffe
 from spiral.types.formatting import first_words, join_words
 from spiral.types.model import Model
 from spiral.types.placement import at_every_place
+from spiral.types.port import place_name
 from spiral.types.run import Round
-from spiral.types.system import System, place_name
+from spiral.types.system import System
 
 
 def admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:

@@ -24,8 +24,8 @@ from spiral.types.effect import (
 )
 from spiral.types.model import Model
 from spiral.types.placement import TIME
-from spiral.types.port import Port
-from spiral.types.system import System, has_coordinates, place_name
+from spiral.types.port import Port, place_name
+from spiral.types.system import System, has_coordinates
 
 
 @dataclass(frozen=True)

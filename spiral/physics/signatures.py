@@ -203,14 +203,16 @@ def port_motion_along(along: SystemMotion, effect: Effect) -> tuple[Array, Array
     channels are their rates.
     """
     port = along.system.place(effect)
-    if isinstance(effect, SensorEffect):
+    if isinstance(effect, SensorEffect) and not effect.driver:
         return _channel_motion(along, port)
-    if isinstance(effect, ParameterEffect):
+    if isinstance(effect, ParameterEffect | SensorEffect):
         position = followed_variable(along, port)[:, None]
         return position, np.gradient(position, axis=0)
-    if isinstance(effect, InputEffect | StateFlow):
-        flows = isinstance(effect, StateFlow)
-        position = _port_levels(along, port) if flows else _recorded_input(along, port)[:, None]
+    if isinstance(effect, InputEffect):
+        position = _recorded_input(along, port)[:, None]
+        return position, np.gradient(position, axis=0)
+    if isinstance(effect, StateFlow):
+        position = _flow_position(along, effect, port)
         return position, np.gradient(position, axis=0)
     if has_coordinates(along.system):
         position, velocity, _ = along.compute_once(port.name, lambda: _port_kinematics(along, port))
@@ -235,8 +237,10 @@ def _channel_motion(along: SystemMotion, port: Port) -> tuple[Array, Array]:
     return np.stack([a for a, _ in pairs], axis=1), np.stack([b for _, b in pairs], axis=1)
 
 
-def _port_levels(along: SystemMotion, port: Port) -> Array:
-    """(samples, axes) states that a port is made of, from what they count against."""
+def _flow_position(along: SystemMotion, effect: StateFlow, port: Port) -> Array:
+    """(samples, axes) what a flow follows: the states of its port from what they count against."""
+    if effect.driver:
+        return followed_variable(along, port)[:, None]
     levels = along.states[:, [_state_index(along.system, name) for name in port.axes]]
     return levels - followed_variable(along, port)[:, None] if port.against else levels
 
@@ -277,7 +281,7 @@ def _injected_values(
         injected[:, pushed] = _apply_matrix(jacobian, forces)
         return injected
     if isinstance(effect, StateFlow):
-        at = At(tuple(_port_levels(along, port).T), (), own)
+        at = At(tuple(_flow_position(along, effect, port).T), (), own)
         into = call_equation(effect, "flow", effect.flow, at, u, p)
         injected[:, [names.index(name) for name in port.axes]] = _stack_columns(into, count)
         return injected

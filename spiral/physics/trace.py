@@ -247,11 +247,11 @@ def _place_effect(
     jacobian = None
     position: tuple[Any, ...] = ()
     velocity: tuple[Any, ...] = ()
-    if isinstance(effect, SensorEffect):
+    if isinstance(effect, SensorEffect) and not effect.driver:
         pass  # what it sees follows from the rates
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
-    elif isinstance(effect, ParameterEffect):
+    elif isinstance(effect, ParameterEffect) or getattr(effect, "driver", ""):
         position = ({**inputs, **states}[port.against],)
     elif isinstance(effect, StateFlow):
         outside = {**inputs, **states}[port.against] if port.against else 0
@@ -322,7 +322,7 @@ def _with_sensor_motion(
 
     The rate of a reading that is no state is that of its formula, with the inputs held.
     """
-    if not isinstance(item.effect, SensorEffect):
+    if not isinstance(item.effect, SensorEffect) or item.effect.driver:
         return item
     second = {states[name]: sp.sympify(rate) for name, rate in rates.items()}
     position: tuple[Any, ...] = tuple(sp.sympify(shown[name]) for name in item.port.axes)

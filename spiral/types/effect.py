@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from spiral.types.label import make_label
 from spiral.types.parameter import Parameter, State
@@ -107,7 +107,14 @@ class ForceEffect(Effect):
 
 
 class SensorEffect(Effect):
-    """A change of what a sensor reports; the motion stays as it is."""
+    """A change of what a sensor reports; the motion stays as it is.
+
+    One whose ``driver`` is ``"any"`` follows an input or a state that is not what the sensor
+    reports, nor its rate: its port is the channel and the driver, ``CHANNEL-VARIABLE``;
+    ``position`` is the driver and its unit, ``force`` the channel's unit.
+    """
+
+    driver: ClassVar[Literal["", "any"]] = ""
 
     @abstractmethod
     def reading(self, y: list[Any], at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:
@@ -134,12 +141,15 @@ class StateFlow(Effect):
     for one state, 2 for a pair; ``units`` are those of the states that it is about, empty for any.
     One of ``differences`` also acts on what a state has more than an input of its unit, or than a
     state with which a third one balances it, at ``NAME-OTHER``: a loss to surroundings that were
-    measured, the drag of what flows into a tank.
+    measured, the drag of what flows into a tank. One whose ``driver`` is an ``"input"`` (or a
+    ``"state"`` of another unit) acts where the system gives that no path: its port is what it acts
+    on, a coordinate too, and its driver, ``NAME-INPUT``; ``position`` is the driver and its unit.
     """
 
     axes: ClassVar[int | None] = 1
     units: ClassVar[tuple[str, ...]] = ()
     differences: ClassVar[bool] = False
+    driver: ClassVar[Literal["", "input", "state"]] = ""
 
     @abstractmethod
     def flow(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:

@@ -16,8 +16,8 @@ from spiral.types.effect import (
 )
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Parameter
-from spiral.types.port import Port
-from spiral.types.system import TIME, System, has_coordinates, place_name
+from spiral.types.port import Port, place_name
+from spiral.types.system import TIME, System, has_coordinates
 
 
 def input_columns(system: System) -> tuple[str, ...]:
@@ -41,17 +41,15 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
         names += [port.name for port in system.planes] if effect.pairs else []
     elif isinstance(effect, InputEffect):
         names = [place_name(port) for port in system.driven]
+    elif isinstance(effect, SensorEffect) and effect.driver:
+        return [replace(effect, port=place_name(port)) for port in system.cross_read]
     elif isinstance(effect, SensorEffect):
         fit = [port for port in system.sensed if effect.axes in (None, len(port.axes))]
         names = [place_name(port) for port in fit]
     elif isinstance(effect, ParameterEffect):
         return [replace(effect, port=place_name(port)) for port in system.varied]
     elif isinstance(effect, StateFlow):
-        return [
-            replace(effect, port=place_name(port))
-            for port in system.filled
-            if len(port.axes) == effect.axes and (effect.differences or not port.against)
-        ]
+        return [replace(effect, port=place_name(port)) for port in system.places_for_flow(effect)]
     else:
         names = []
     return [effect, *(replace(effect, port=name) for name in names[1:])]
@@ -103,13 +101,15 @@ def check_effect(system: System, effect: Effect) -> Port:
     return port
 
 
-def _check_sensors(system: System, effect: Effect) -> None:
+def _check_sensors(system: System, effect: SensorEffect) -> None:
     """A change of readings has no port where all channels have one unit.
 
     One that mixes channels as the axes of one place needs such a place in the system: two sensors
     of one unit may as well be at two ends of a machine.
     """
     axes = effect.axes or 1
+    if effect.driver:
+        return
     if axes > 1 and not any(len(port.axes) == axes for port in system.ports):
         raise ConfigError(
             f"effect {effect.label!r} with system {system.plugin_name()!r}",
@@ -132,4 +132,21 @@ def _check_channels(system: System, effect: Effect) -> None:
                 f"effect {effect.label!r} with system {system.plugin_name()!r}",
                 f"a system with the state {name!r}; this one has: {', '.join(have)}",
                 did_you_mean(name, have),
+            )
+
+
+def check_states(system: System, what: str) -> None:
+    """Refuse channels that are no states.
+
+    Raises
+    ------
+    ConfigError : one that is a reading (an acceleration, a force).
+    """
+    states = {s.name for s in system.states}
+    for name in system.observed:
+        if name not in states:
+            raise ConfigError(
+                f"{what} with the channel {name!r}, which is no state of {system.plugin_name()!r}",
+                f"channels that are states: {', '.join(sorted(states))}",
+                "strategy=likelihood, which predicts what such a sensor reads",
             )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
+from spiral.types.parameter import State
 from spiral.types.rates import per_second
 
 
@@ -52,3 +53,32 @@ class At:
     velocity: tuple[Any, ...]
     own: SimpleNamespace
     acceleration: tuple[Any, ...] = ()
+
+
+def place_name(port: Port) -> str:
+    """The port name of an effect on an input or into a state: the names of its axes."""
+    return "-".join((*port.axes, port.against) if port.against else port.axes)
+
+
+def state_port(units: dict[str, str], *into: State) -> Port:
+    """A port of states of first order, for flows into them."""
+    names = tuple(i.name for i in into)
+    return Port(
+        f"state{'s' * (len(into) > 1)} {'-'.join(names)}",
+        names,
+        lambda x, p: [getattr(x, n) for n in names],
+        units[names[0]],
+        into[0].unit,
+    )
+
+
+def difference_port(units: dict[str, str], into: State, other: str) -> Port:
+    """A port for flows into a state that follow what it has more than an input or a state."""
+    return replace(state_port(units, into), name=f"state {into.name}-{other}", against=other)
+
+
+def joint_coordinates(
+    first: Port, second: Port
+) -> Callable[[SimpleNamespace, SimpleNamespace], list[Any]]:
+    """Coordinates of two ports in one list."""
+    return lambda q, p: [*first.coordinates(q, p), *second.coordinates(q, p)]

@@ -18,7 +18,8 @@ from spiral.types.parameter import Input, Parameter, State
 
 _SAME = 1e-9  # of a value, by which it may differ for rounding
 _SHIFT = 0.37  # of states and inputs together, or of a parameter
-_LIKE = 1e-6  # of a change, by which another may differ from it for rounding
+LIKE = 1e-6
+"""Of a change, by which another may differ from it for rounding."""
 
 
 class ProbedSystem(Protocol):
@@ -49,6 +50,15 @@ class ProbedSystem(Protocol):
         """Channels that are no state."""
         ...
 
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """Names of what sensors report."""
+        ...
+
+    def unit_of(self, channel: str) -> str:
+        """Unit of a state, an input or a reading."""
+        ...
+
     def rate(self, x: Any, u: Any, p: Any, injected: dict[str, Any]) -> dict[str, Any]:
         """x' of every state."""
         ...
@@ -62,10 +72,10 @@ def readings_with_rates(system: ProbedSystem) -> set[str]:
     """Names of the readings that change with x': what hits or holds the machine makes them jump."""
     names = {r.name for r in system.readings}
     try:
-        x, u, p = _point(system)
+        x, u, p = random_point(system)
         rates = [_numbers((s.name for s in system.states), seed) for seed in (3, 4)]
         one, other = (system.reading(x, r, u, p) for r in rates)
-        return {n for n in names if not _is_same(one[n], other[n])}
+        return {n for n in names if not is_same(one[n], other[n])}
     except Exception:
         return names
 
@@ -74,13 +84,13 @@ def readings_with_rates(system: ProbedSystem) -> set[str]:
 def follows_input(system: ProbedSystem, state: str, given: str) -> bool:
     """Whether a state's rate depends on it and an input by their difference alone."""
     try:
-        x, u, p = _point(system)
+        x, u, p = random_point(system)
         nothing = {i.name: 0.0 for i in system.injections}
-        moved_x, moved_u = _moved(x, (state,)), _moved(u, (given,))
+        moved_x, moved_u = moved(x, (state,)), moved(u, (given,))
         here, both, alone = (
             system.rate(*at, p, nothing)[state] for at in ((x, u), (moved_x, moved_u), (x, moved_u))
         )
-        return _is_same(here, both) and not _is_same(here, alone)
+        return is_same(here, both) and not is_same(here, alone)
     except Exception:
         return False
 
@@ -92,12 +102,12 @@ def balanced_states(system: ProbedSystem, names: tuple[str, ...]) -> frozenset[f
     What flows into a tank, and out of it, are such states: A z' = Q - q.
     """
     try:
-        x, u, p = _point(system)
+        x, u, p = random_point(system)
         nothing = {i.name: 0.0 for i in system.injections}
 
-        def changed(*moved: str) -> set[str]:
-            rates = system.rate(_moved(x, moved), u, p, nothing)
-            return {n for n, rate in rates.items() if not _is_same(rate, here[n])} - {*moved}
+        def changed(*names: str) -> set[str]:
+            rates = system.rate(moved(x, names), u, p, nothing)
+            return {n for n, rate in rates.items() if not is_same(rate, here[n])} - {*names}
 
         here = system.rate(x, u, p, nothing)
         alone = {name: changed(name) for name in names}
@@ -135,28 +145,28 @@ def _joined_by(
 
     Its part of them changes as one of them moves, and does not as all move together.
     """
-    x, u, p = _point(system)
-    more, nothing = _moved(p, (parameter,)), {i.name: 0.0 for i in system.injections}
+    x, u, p = random_point(system)
+    more, nothing = moved(p, (parameter,)), {i.name: 0.0 for i in system.injections}
 
     def part(at: SimpleNamespace) -> dict[str, float]:
         without, with_more = (system.rate(at, u, values, nothing) for values in (p, more))
         return {n: float(with_more[rate]) - float(without[rate]) for n, rate in coordinates}
 
-    here, together = part(x), part(_moved(x, itertools.chain(*coordinates)))
-    least = _LIKE * max(map(abs, (*here.values(), *together.values())), default=0.0)
+    here, together = part(x), part(moved(x, itertools.chain(*coordinates)))
+    least = LIKE * max(map(abs, (*here.values(), *together.values())), default=0.0)
     acted_on = [
         pair for pair in coordinates if max(abs(here[pair[0]]), abs(together[pair[0]])) > least
     ]
-    changes = {n: abs(part(_moved(x, (n, rate)))[n] - here[n]) for n, rate in acted_on}
-    return [n for n, c in changes.items() if c > least and abs(together[n] - here[n]) <= _LIKE * c]
+    changes = {n: abs(part(moved(x, (n, rate)))[n] - here[n]) for n, rate in acted_on}
+    return [n for n, c in changes.items() if c > least and abs(together[n] - here[n]) <= LIKE * c]
 
 
-def _moved(at: SimpleNamespace, names: Iterable[str]) -> SimpleNamespace:
+def moved(at: SimpleNamespace, names: Iterable[str]) -> SimpleNamespace:
     """The same numbers, some of them larger by as much."""
     return SimpleNamespace(**{**vars(at), **{n: getattr(at, n) + _SHIFT for n in names}})
 
 
-def _point(system: ProbedSystem) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
+def random_point(system: ProbedSystem) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
     """Numbers for states, inputs and parameters."""
     inputs = [i.name for i in system.inputs]
     inputs += [i.rate.name for i in system.inputs if i.derivative]
@@ -172,6 +182,7 @@ def _numbers(names: Iterable[str], seed: int) -> SimpleNamespace:
     return SimpleNamespace(**{n: draw.uniform(0.5, 1.5) for n in names})
 
 
-def _is_same(one: Any, other: Any) -> bool:
+def is_same(one: Any, other: Any) -> bool:
+    """Whether two numbers differ by no more than rounding."""
     a, b = float(one), float(other)
     return abs(a - b) <= _SAME * max(abs(a), abs(b))

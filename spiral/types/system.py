@@ -5,19 +5,30 @@ from __future__ import annotations
 import itertools
 import math
 from abc import abstractmethod
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, ClassVar, TypeGuard
 
+from spiral.types.accelerations import solve_accelerations
 from spiral.types.cache import kept
 from spiral.types.display import Summary
+from spiral.types.drivers import cross_read_ports, uncoupled_ports
 from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect, StateFlow
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.plugin import Plugin
-from spiral.types.port import Port
-from spiral.types.probing import balanced_states, follows_input, lines_of
+from spiral.types.port import (
+    Port,
+    difference_port,
+    joint_coordinates,
+    place_name,
+    state_port,
+)
+from spiral.types.probing import (
+    balanced_states,
+    follows_input,
+    lines_of,
+)
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -210,6 +221,15 @@ class System(Plugin):
         )  # fmt: skip
 
     @property
+    def cross_read(self) -> tuple[Port, ...]:
+        """Ports for what a sensor reads of another variable, as ``CHANNEL by VARIABLE``.
+
+        Variables are inputs that no other follows, and states but what a channel reports and its
+        rate; coordinates and their rates on a channel of their unit.
+        """
+        return cross_read_ports(self, _free_inputs(self), _moving(self))
+
+    @property
     def driven(self) -> tuple[Port, ...]:
         """Ports for effects on actuators: each input, without those that follow from others.
 
@@ -249,9 +269,29 @@ class System(Plugin):
             if units[i.name] == units[j.name] and {i.name, j.name} in differences
         ]
         return (
-            *(_state_port(units, i) for i in own),
-            *(_difference_port(units, i, other) for i, other in (*outside, *balanced)),
-            *(_state_port(units, *pair) for pair in alike),
+            *(state_port(units, i) for i in own),
+            *(difference_port(units, i, other) for i, other in (*outside, *balanced)),
+            *(state_port(units, *pair) for pair in alike),
+        )
+
+    @property
+    def uncoupled(self) -> Mapping[str, tuple[Port, ...]]:
+        """Ports for what an ``input``, or a ``state``, adds where the system gives it no path.
+
+        Such a port is called ``NAME by VARIABLE``. Of coordinates those count that are ports,
+        of other states each that effects may flow into, of inputs those that no other follows. Of
+        states those of another unit; on a coordinate acts none of another coordinate.
+        """
+        return _uncoupled_ports(self)
+
+    def places_for_flow(self, effect: StateFlow) -> tuple[Port, ...]:
+        """The ports at which a flow of this kind may act."""
+        if effect.driver:
+            return self.uncoupled[effect.driver]
+        return tuple(
+            port
+            for port in self.filled
+            if len(port.axes) == effect.axes and (effect.differences or not port.against)
         )
 
     @property
@@ -265,15 +305,14 @@ class System(Plugin):
 
     def place(self, effect: Effect) -> Port:
         """Where an effect acts: at a port, on an input, a parameter, a state, or the sensors."""
+        if isinstance(effect, SensorEffect) and effect.driver:
+            return self._place_of(effect, self.cross_read, "on a sensor", "another variable")
         if isinstance(effect, SensorEffect):
-            first, *more = self.sensed
-            if not more:  # it has no name
-                return first
+            if len(self.sensed) == 1:  # it has no name
+                return self.sensed[0]
             fit = [p for p in self.sensed if effect.axes in (None, len(p.axes))]
-            return self._place_of(
-                effect, tuple(fit or self.sensed), "which acts on what the sensors report",
-                "a channel",
-            )  # fmt: skip
+            what = "which acts on what the sensors report"
+            return self._place_of(effect, tuple(fit or self.sensed), what, "a channel")
         if isinstance(effect, InputEffect):
             return self._place_of(
                 effect, self.driven, "which acts on an input", "an input that no other follows"
@@ -283,15 +322,11 @@ class System(Plugin):
                 effect, self.varied, "which changes a parameter with a variable", "a parameter"
             )
         if isinstance(effect, StateFlow):
-            fit = [
-                port for port in self.filled
-                if len(port.axes) == effect.axes and (effect.differences or not port.against)
-            ]  # fmt: skip
+            fit = list(self.places_for_flow(effect))
             fit.sort(key=lambda port: bool(effect.units) and port.position_unit not in effect.units)
-            return self._place_of(
-                effect, tuple(fit), "which flows into a state",
-                "a state of first order for each axis",
-            )  # fmt: skip
+            due = "a state of first order for each axis"
+            due = f"a state on which no {effect.driver} acts" if effect.driver else due
+            return self._place_of(effect, tuple(fit), "which flows into a state", due)
         return self.port(effect.port)
 
     def _place_of(self, effect: Effect, ports: tuple[Port, ...], what: str, due: str) -> Port:
@@ -378,33 +413,11 @@ class MechanicalSystem(System):
         q, v = self.split(x)
         names = [c.name for c in self.coordinates]
         total = [f + injected[n] for f, n in zip(self.force(q, v, u, p), names, strict=True)]
-        acceleration = _solve_accelerations(self.mass(q, p), total)
+        acceleration = solve_accelerations(self.mass(q, p), total)
         rates = {n: getattr(v, n) for n in names}
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
         rates.update({n: f + injected.get(n, 0) for n, f in self.flows(q, v, u, p).items()})
         return rates
-
-
-def check_states(system: System, what: str) -> None:
-    """Refuse channels that are no states.
-
-    Raises
-    ------
-    ConfigError : one that is a reading (an acceleration, a force).
-    """
-    states = {s.name for s in system.states}
-    for name in system.observed:
-        if name not in states:
-            raise ConfigError(
-                f"{what} with the channel {name!r}, which is no state of {system.plugin_name()!r}",
-                f"channels that are states: {', '.join(sorted(states))}",
-                "strategy=likelihood, which predicts what such a sensor reads",
-            )
-
-
-def place_name(port: Port) -> str:
-    """The port name of an effect on an input or into a state: the names of its axes."""
-    return "-".join((*port.axes, port.against) if port.against else port.axes)
 
 
 def varied_key(port: Port) -> str:
@@ -413,21 +426,24 @@ def varied_key(port: Port) -> str:
     return name if "." in name else f"system.{name}"
 
 
-def _state_port(units: dict[str, str], *into: State) -> Port:
-    """A port of states of first order, for flows into them."""
-    names = tuple(i.name for i in into)
-    return Port(
-        f"state{'s' * (len(into) > 1)} {'-'.join(names)}",
-        names,
-        lambda x, p: [getattr(x, n) for n in names],
-        units[names[0]],
-        into[0].unit,
-    )
+@kept(32)
+def _uncoupled_ports(system: System) -> dict[str, tuple[Port, ...]]:
+    """``System.uncoupled``."""
+    barred = {*_moving(system)}
+    if has_coordinates(system):
+        barred -= {*_plain_ports(system).values()}
+    return uncoupled_ports(system, _free_inputs(system), _moving(system), barred)
 
 
-def _difference_port(units: dict[str, str], into: State, other: str) -> Port:
-    """A port for flows into a state that follow what it has more than an input or a state."""
-    return replace(_state_port(units, into), name=f"state {into.name}-{other}", against=other)
+def _moving(system: System) -> dict[str, str]:
+    """Coordinates, and what their rates are called; none of a system without coordinates."""
+    coordinates = system.coordinates if has_coordinates(system) else ()
+    return {c.name: system.rate_name(c.name) for c in coordinates}
+
+
+def _free_inputs(system: System) -> dict[str, str]:
+    """Inputs that no other follows, and their units."""
+    return {port.axes[0]: port.position_unit for port in system.driven}
 
 
 @kept(32)
@@ -451,18 +467,12 @@ def _varied_ports(system: System) -> dict[str, Port]:
 @kept(32)
 def _coordinate_pairs(system: MechanicalSystem) -> dict[Port, tuple[str, str]]:
     """Pairs of the ports that are coordinates, one axis each, with these coordinates."""
-    import sympy
-
-    q = SimpleNamespace(**{s.name: sympy.Symbol(s.name) for s in system.states})
-    p = SimpleNamespace(**{k.name: sympy.Symbol(f"p_{k.name}") for k in system.parameters})
-    names = {q.__dict__[c.name]: c.name for c in system.coordinates}
-    single = [(x, x.coordinates(q, p)[0]) for x in system.ports if len(x.axes) == 1]
-    plain = [(x, names[at]) for x, at in single if at in names]
+    plain = _plain_ports(system).items()
     return {
         Port(
             f"{a.name}-{b.name}",
             (a.name, b.name),
-            _joint_coordinates(a, b),
+            joint_coordinates(a, b),
             a.position_unit,
             a.force_unit,
         ): (x, y)
@@ -471,29 +481,18 @@ def _coordinate_pairs(system: MechanicalSystem) -> dict[Port, tuple[str, str]]:
     }
 
 
-def _joint_coordinates(
-    first: Port, second: Port
-) -> Callable[[SimpleNamespace, SimpleNamespace], list[Any]]:
-    """Coordinates of two ports in one list."""
-    return lambda q, p: [*first.coordinates(q, p), *second.coordinates(q, p)]
+@kept(32)
+def _plain_ports(system: MechanicalSystem) -> dict[Port, str]:
+    """The ports that are a coordinate, with that coordinate."""
+    import sympy
+
+    q = SimpleNamespace(**{s.name: sympy.Symbol(s.name) for s in system.states})
+    p = SimpleNamespace(**{k.name: sympy.Symbol(f"p_{k.name}") for k in system.parameters})
+    names = {q.__dict__[c.name]: c.name for c in system.coordinates}
+    single = [(x, x.coordinates(q, p)[0]) for x in system.ports if len(x.axes) == 1]
+    return {x: names[at] for x, at in single if at in names}
 
 
 def has_coordinates(system: System) -> TypeGuard[MechanicalSystem]:
     """Whether forces can act on a system: it is mechanical, with at least one coordinate."""
     return isinstance(system, MechanicalSystem) and bool(system.coordinates)
-
-
-def _solve_accelerations(mass: list[list[Any]], total: list[Any]) -> list[Any]:
-    """M^-1 total: by division where M is diagonal (units kept), else symbolically."""
-    size = len(total)
-    off = [mass[i][j] for i in range(size) for j in range(size) if i != j]
-    if all(isinstance(value, int | float) and value == 0 for value in off):
-        return [t / mass[i][i] for i, t in enumerate(total)]
-    if all(isinstance(value, int | float) for row in mass for value in row):
-        import numpy
-
-        return [sum(float(m) * t for m, t in zip(row, total, strict=True))
-                for row in numpy.linalg.inv(mass)]  # fmt: skip
-    import sympy
-
-    return list(sympy.Matrix(mass).LUsolve(sympy.Matrix(total)))

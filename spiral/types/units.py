@@ -373,8 +373,9 @@ def _evaluate_effect(system: System, effect: Effect, port: Port) -> list[tuple[s
     if isinstance(effect, ForceEffect):
         values += [("effect", value, port.force_unit) for value in effect.force(at, u, p)]
     elif isinstance(effect, SensorEffect):
-        readings = effect.reading(list(position), at, u, p)
-        values += [("effect", value, port.position_unit) for value in readings]
+        unit = port.force_unit if effect.driver else port.position_unit
+        readings = effect.reading([quantity(unit, 0.75) for _ in position], at, u, p)
+        values += [("effect", value, unit) for value in readings]
     elif isinstance(effect, InputEffect):
         values.append(("effect", effect.drive(at, u, p), port.position_unit))
     elif isinstance(effect, ParameterEffect):

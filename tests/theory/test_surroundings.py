@@ -8,8 +8,8 @@ import spiral
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError
 from spiral.types.placement import at_every_place
+from spiral.types.port import place_name
 from spiral.types.record import make_record
-from spiral.types.system import place_name
 
 REGISTRY = load_registry()
 DT, COUNT = 300.0, 700

@@ -19,8 +19,9 @@ from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect
 from spiral.types.errors import ConfigError, InputError
 from spiral.types.model import Model
+from spiral.types.placement import check_states
 from spiral.types.record import Array, Record
-from spiral.types.system import System, check_states
+from spiral.types.system import System
 
 
 @dataclass(frozen=True)

@@ -275,8 +275,10 @@ def _describe_noise_growth(growth: tuple[float, float, bool], h: Array) -> str:
 def _noise_weighting_remarks(estimate: MaximumLikelihood) -> Iterator[str]:
     """Sentences on noise that grows with its reading, where the fit is weighted accordingly."""
     task = estimate.prepared[0][0]
+    if (grown := task.series.grown) is None:
+        return
     for j in _weighted_channels(estimate):
-        low, high = np.quantile(np.sqrt(task.series.grown[:, j]), (0.05, 0.95))
+        low, high = np.quantile(np.sqrt(grown[:, j]), (0.05, 0.95))
         yield (
             f"the noise of sensor {task.compiled.traced.channels[j]} grows with its reading, "
             f"{number(float(high / low), 2)}-fold over the middle 90 % of its values, and the fit "

@@ -62,9 +62,9 @@ from spiral.physics.signatures import SystemMotion, effect_inputs, port_motion_a
 from spiral.types.effect import Effect, values_for
 from spiral.types.label import parameter_of
 from spiral.types.placement import at_every_place
-from spiral.types.port import At
+from spiral.types.port import At, place_name
 from spiral.types.record import Array
-from spiral.types.system import has_coordinates, place_name
+from spiral.types.system import has_coordinates
 
 _LEAST = 0.05  # share of the missing force's mean square from which memory is reported
 _KEPT = 0.5  # of what an effect does alone: left beside a force with memory if it is no stand-in

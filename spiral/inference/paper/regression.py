@@ -17,8 +17,8 @@ from spiral.engine.study import ORIGIN
 from spiral.inference.evidence.assembly import Assembly
 from spiral.types.derivative import Derivative, differentiate
 from spiral.types.errors import ConfigError
+from spiral.types.placement import check_states
 from spiral.types.record import Array
-from spiral.types.system import check_states
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ def _failure_sentence(
     if state is not None:
         parts.append(_describe_state(state))
     elif ranges.amplitude is not None and ranges.order is None and not turning:
-        unit = system.unit_of(ranges.channel)
+        unit = system.unit_of(ranges.channel or system.observed[0])
         low, high = ranges.amplitude
         parts.append(f"at amplitudes of {low:.3g} to {high:.3g} {unit}")
     elif seen.missing is not None:

@@ -150,6 +150,10 @@ def _print_where_it_acts(console: Console, plugin: type[Effect]) -> None:
         ParameterEffect: "on a parameter and what it follows, PARAMETER-VARIABLE",
         StateFlow: "on states of first order",
     }  # fmt: skip
+    if issubclass(plugin, StateFlow) and plugin.driver:
+        kinds[StateFlow] = f"on a state to which the {plugin.driver} has no path, STATE-VARIABLE"
+    if issubclass(plugin, SensorEffect) and plugin.driver:
+        kinds[SensorEffect] = "on a sensor and what else it may follow, CHANNEL-VARIABLE"
     where = next((told for kind, told in kinds.items() if issubclass(plugin, kind)), "at a port")
     several = plugin.axes is not None and plugin.axes > 1
     together = ", two together" if issubclass(plugin, StateFlow) else f" of {plugin.axes} axes"

@@ -6,8 +6,8 @@ from rich.console import Console
 from rich.text import Text
 
 from spiral.types.formatting import join_words, number
-from spiral.types.port import Port
-from spiral.types.system import System, has_coordinates, place_name
+from spiral.types.port import Port, place_name
+from spiral.types.system import System, has_coordinates
 from spiral.types.units import short_form
 from spiral.view.terminal.parts import ruled_table
 

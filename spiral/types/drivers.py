@@ -1,0 +1,150 @@
+"""Ports of what a driver adds where a system gives it no path: an input, or a state.
+
+The system is asked for its rates at numbers (``spiral.types.probing``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from spiral.types.cache import kept
+from spiral.types.port import Port
+from spiral.types.probing import LIKE, ProbedSystem, is_same, moved, random_point
+
+
+def uncoupled_ports(
+    system: ProbedSystem, given: Mapping[str, str], moving: Mapping[str, str],
+    barred: Collection[str],
+) -> dict[str, tuple[Port, ...]]:  # fmt: skip
+    """By kind of driver, ``input`` or ``state``: ports ``NAME by VARIABLE``.
+
+    Parameters
+    ----------
+    given : units of inputs. moving : coordinates and their rates; none of them drives another.
+    barred : injections that are no places.
+    """
+    units = {s.name: s.unit for s in system.states}
+    own = {i.name: i.unit for i in system.injections if i.name in units and i.name not in barred}
+    paths = _paths_of(system, (*given, *units))
+    free = [(n, v) for n in own for v in paths if n not in paths[v]]
+    fed = [pair for pair in free if pair[1] in given]
+    other = [(n, v) for n, v in free if v in units and units[n] != units[v]]
+    coupled = [pair for pair in other if not {*pair} <= {*moving, *moving.values()}]
+    return {"input": _ports(fed, given, own), "state": _ports(coupled, units, own)}
+
+
+def cross_read_ports(
+    system: ProbedSystem, given: Mapping[str, str], moving: Mapping[str, str]
+) -> tuple[Port, ...]:
+    """Ports ``CHANNEL by VARIABLE`` of what a sensor reads of another input or state.
+
+    ``given`` are units of inputs, ``moving`` coordinates and their rates.
+    """
+    units = {s.name: s.unit for s in system.states}
+    own = {c: system.unit_of(c) for c in system.observed}
+    made = {c: _parts_of_reading(system, c) | {moving.get(c, "")} for c in own}
+    free = [(c, v) for c in own for v in (*given, *units) if v not in made[c]]
+    tied = {*moving, *moving.values()}
+    fit = [(c, v) for c, v in free if v not in tied or units[v] == own[c]]
+    return _ports(fit, {**given, **units}, own)
+
+
+def _ports(
+    pairs: Iterable[tuple[str, str]], units: Mapping[str, str], forces: Mapping[str, str]
+) -> tuple[Port, ...]:
+    """Ports of what a variable adds to a state, ``NAME by VARIABLE``, of (state, variable).
+
+    ``units`` are those of the variables, ``forces`` those of what enters the states.
+    """
+    return tuple(
+        Port(f"{n} by {v}", (n,), lambda x, p: [], units[v], forces[n], against=v) for n, v in pairs
+    )
+
+
+@kept(64)
+def _paths_of(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, frozenset[str]]:
+    """By input or state: the injections through which the system lets it act.
+
+    Those are what its part of the rates, r(v + dv) - r(v), is made of: with G the rates of unit
+    injections, the least squares of it by G. All of them, where it is not made of them (an input
+    that acts on a rate which no effect enters), and where the equations cannot be evaluated. What
+    the rates of coordinates are by definition is no part.
+    """
+    names = [i.name for i in system.injections]
+    try:
+        x, u, p = random_point(system)
+        nothing = dict.fromkeys(names, 0.0)
+        here = _rate_vector(system, x, u, p, nothing)
+        gains = np.array([
+            _rate_vector(system, x, u, p, {**nothing, n: 1.0}) - here for n in names
+        ]).T  # fmt: skip
+        entered = np.any(gains != 0, axis=1)
+        parts = {
+            n: _rate_vector(system, *_moved_point(x, u, n), p, nothing) - here for n in variables
+        }
+    except Exception:
+        return dict.fromkeys(variables, frozenset(names))
+    states = {s.name for s in system.states}
+    return {
+        n: frozenset(_made_of(np.where(entered, part, 0.0) if n in states else part, gains, names))
+        for n, part in parts.items()
+    }
+
+
+def _moved_point(x: Any, u: Any, name: str) -> tuple[Any, Any]:
+    """States and inputs, one of them larger."""
+    return (moved(x, (name,)), u) if hasattr(x, name) else (x, moved(u, (name,)))
+
+
+@kept(256)
+def _parts_of_reading(system: ProbedSystem, channel: str) -> frozenset[str]:
+    """The states and inputs that a channel is made of, and the state that is its rate.
+
+    Of a state that is itself and what its rate is by definition; of a reading, what it changes
+    with, by its own formula or through the rates. All, where that cannot be evaluated.
+    """
+    variables = [s.name for s in system.states] + [i.name for i in system.inputs]
+    try:
+        x, u, p = random_point(system)
+        nothing = {i.name: 0.0 for i in system.injections}
+
+        def told(x: Any, u: Any) -> tuple[float, ...]:
+            rates = system.rate(x, u, p, nothing)
+            if channel in rates:
+                return (getattr(x, channel),)
+            return (float(system.reading(x, SimpleNamespace(**rates), u, p)[channel]),)
+
+        here = told(x, u)
+        seen = {n for n in variables if told(*_moved_point(x, u, n)) != here}
+        rates = system.rate(x, u, p, nothing)
+        same = {n for n in variables if channel in rates and _is_its_rate(system, channel, n)}
+        return frozenset({*seen, *same})
+    except Exception:
+        return frozenset(variables)
+
+
+def _is_its_rate(system: ProbedSystem, state: str, other: str) -> bool:
+    """Whether a state's rate is another variable, by definition."""
+    x, u, p = random_point(system)
+    nothing = {i.name: 0.0 for i in system.injections}
+    at = SimpleNamespace(**vars(x), **vars(u))
+    return is_same(system.rate(x, u, p, nothing)[state], getattr(at, other))
+
+
+def _rate_vector(system: ProbedSystem, x: Any, u: Any, p: Any, injected: dict[str, float]) -> Any:
+    rates = system.rate(x, u, p, injected)
+    return np.array([float(rates[s.name]) for s in system.states])
+
+
+def _made_of(change: Any, gains: Any, names: list[str]) -> list[str]:
+    """The columns of ``gains`` by which a change is made; all where it is not."""
+    parts, *_ = np.linalg.lstsq(gains, change, rcond=None)
+    size = np.abs(change).max(initial=0.0)
+    if np.abs(gains @ parts - change).max(initial=0.0) > LIKE * size:
+        return names
+    shares = np.abs(gains * parts).max(axis=0, initial=0.0)
+    return [n for n, share in zip(names, shares, strict=True) if share > LIKE * size]

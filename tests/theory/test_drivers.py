@@ -1,0 +1,131 @@
+"""What drives a machine where its model has no path: inputs, states, and readings of others."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import spiral
+from spiral.io.registry import load_registry
+from spiral.types.errors import ConfigError
+from spiral.types.port import place_name
+from spiral.types.record import make_record
+
+REGISTRY = load_registry()
+DT, COUNT = 0.01, 1500
+L, R, K, J, B, EMF = 0.05, 1.2, 0.3, 0.02, 0.01, 0.25
+SUN, WIRED = 0.004, 0.6
+
+
+def motor():
+    """A motor in volts and a fan's torque; its builder forgot what turning induces."""
+
+    def rhs(t, x, u, p):
+        return [(u.V - p.R * x.i) / p.L, (p.K * x.i - p.B * x.w - u.load) / p.J]
+
+    return spiral.system(
+        rhs, states={"i": "A", "w": "rad/s"}, inputs={"V": "V", "load": "N*m"},
+        parameters={"L": (0.045, "H"), "R": (1.4, "ohm"), "K": (0.3, "N*m/A"),
+                    "J": (0.023, "kg*m^2"), "B": (0.012, "N*m*s/rad")},
+        observed=["i", "w"], free=["L", "R", "J", "B"],
+    )  # fmt: skip
+
+
+def turned(emf=0.0, crosstalk=0.0, seed=0):
+    """A record of the motor, by SciPy; both inputs held between samples."""
+    rng, time = np.random.default_rng(seed), DT * np.arange(COUNT)
+    volts = np.repeat(rng.uniform(-12, 12, COUNT // 10), 10)
+    load = np.repeat(rng.uniform(-0.5, 0.5, COUNT // 25), 25)
+    states = [np.zeros(2)]
+    for v, m in zip(volts[:-1], load[:-1], strict=True):
+
+        def rate(t, x, v=v, m=m):
+            induced = emf * x[1] + crosstalk * m
+            return [(v - R * x[0] - induced) / L, (K * x[0] - B * x[1] - m) / J]
+
+        states.append(solve_ivp(rate, (0, DT), states[-1], rtol=1e-9, atol=1e-9).y[:, -1])
+    clean = np.array(states)
+    noisy = clean + 0.01 * clean.std(axis=0) * rng.normal(size=clean.shape)
+    channels = {"i": noisy[:, 0], "w": noisy[:, 1]}
+    return make_record(
+        motor(), "motor", time, channels, {"V": volts, "load": load}, hold="zero_order"
+    )
+
+
+def body():
+    """A warm body in a room, read by a thermometer."""
+
+    def rhs(t, x, u, p):
+        return [(u.heater - p.G * (x.T - u.room)) / p.C]
+
+    return spiral.system(
+        rhs, states={"T": "K"}, inputs={"heater": "W", "room": "K", "sun": "W/m^2"},
+        parameters={"C": (9000.0, "J/K"), "G": (12.0, "W/K")}, observed=["T"], free=["C", "G"],
+    )  # fmt: skip
+
+
+def warmed(sunlit, seed=0):
+    """A record of the body's thermometer, which the sun warms beside what it should read."""
+    rng, step, count = np.random.default_rng(seed), 20.0, 800
+    time = step * np.arange(count)
+    heater = np.repeat(rng.uniform(0, 400, count // 20), 20)
+    sun = 300 + 300 * np.convolve(rng.normal(size=count), np.ones(15) / 4, "same").clip(-1, 1)
+    room = 293 + 2 * np.sin(time / 3000)
+    states = [np.array([295.0])]
+    for k in range(count - 1):
+
+        def rate(t, x, k=k):
+            return [(heater[k] - 13.0 * (x[0] - room[k])) / 8000.0]
+
+        states.append(solve_ivp(rate, (0, step), states[-1], rtol=1e-9, atol=1e-9).y[:, -1])
+    read = np.array(states)[:, 0] + sunlit * sun + 0.05 * rng.normal(size=count)
+    inputs = {"heater": heater, "room": room, "sun": sun}
+    return make_record(body(), "body", time, {"T": read}, inputs, hold="zero_order")
+
+
+def test_drivers_are_those_that_the_equations_give_no_path():
+    assert [place_name(p) for p in motor().uncoupled["input"]] == ["i-load", "w-V"]
+    assert [place_name(p) for p in motor().uncoupled["state"]] == ["i-w"]
+    read = [place_name(p) for p in motor().cross_read]
+    assert read == ["i-V", "i-load", "i-w", "w-V", "w-load", "w-i"]
+    assert [place_name(p) for p in body().uncoupled["input"]] == ["T-sun"]
+
+
+def test_a_path_that_the_model_has_is_no_place_for_another():
+    effect = REGISTRY.make("effect", "input_coupling", {"port": "w-load"})
+    with pytest.raises(ConfigError, match="one of i-load, w-V"):
+        motor().place(effect)
+
+
+def test_a_spring_is_no_driver_of_the_mass_at_its_other_end():
+    """Two masses, a force on the first: the second has no path; positions drive no positions."""
+    system = spiral.system(
+        lambda t, x, u, p: [x.v, (u.F - p.k * (x.a - x.b)) / p.m, x.w, p.k * (x.a - x.b) / p.m],
+        states={"a": "m", "v": "m/s", "b": "m", "w": "m/s"}, inputs={"F": "N"},
+        parameters={"m": (1.0, "kg"), "k": (50.0, "N/m")}, observed=["a", "b"],
+    )  # fmt: skip
+    assert [place_name(p) for p in system.uncoupled["input"]] == ["b-F"]
+    assert system.uncoupled["state"] == ()
+    assert [place_name(p) for p in system.cross_read] == ["a-F", "a-b", "b-F", "b-a"]
+
+
+@pytest.mark.parametrize(
+    ("record", "system", "name", "key", "truth"),
+    [
+        (lambda: turned(emf=EMF), motor, "state_coupling@i-w", "gain", -EMF / L),
+        (lambda: turned(crosstalk=WIRED), motor, "input_coupling@i-load", "gain", -WIRED / L),
+        (lambda: warmed(SUN), body, "cross_sensitivity@T-sun", "gain", SUN),
+    ],
+    ids=["back-EMF", "crosstalk", "thermometer in the sun"],
+)
+def test_a_driver_without_a_path_is_named_with_its_size(record, system, name, key, truth):
+    run = spiral.discover(record(), system(), holdout=0.3)
+    assert run.missing == (name,)
+    value, error = run.model.values[f"{name}.{key}"], run.model.errors[f"{name}.{key}"]
+    assert value == pytest.approx(truth, abs=3 * error)
+    assert error < 0.05 * abs(truth)
+
+
+def test_nothing_is_missing_where_nothing_is():
+    for record, system in ((turned(), motor()), (warmed(0.0), body())):
+        run = spiral.discover(record, system, holdout=0.3)
+        assert (run.verdict, run.missing) == ("nothing_missing", ())
