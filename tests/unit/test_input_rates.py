@@ -34,3 +34,14 @@ def test_a_rotors_noisy_speed_keeps_a_smooth_rate():
     speed = 250 - 0.002 * samples + 0.5 * np.random.default_rng(0).normal(size=5000)
     found = rate_per_sample(speed, samples, samples)
     assert np.std(found + 0.002) < 0.02
+
+
+def test_waves_of_six_samples_have_their_own_rate():
+    """Swell on a buoy, read twice a second to four digits: a spline of fifth order follows it."""
+    rng, samples = np.random.default_rng(2), np.arange(2000.0)
+    turns, phase = 2 * np.pi * rng.uniform(0.02, 0.165, 60), rng.uniform(0, 6.28, 60)
+    fine = np.arange(1999 * 2 + 1) / 2
+    seen = np.round(np.sin(samples[:, None] * turns + phase).sum(axis=1), 4)
+    rate = (turns * np.cos(fine[:, None] * turns + phase)).sum(axis=1)
+    found = rate_per_sample(seen, samples, fine)
+    assert np.std(found - rate) < 0.002 * np.std(rate)
