@@ -133,3 +133,18 @@ class SwitchedChange(ParameterEffect):
         """1 + a (1 + tanh((v - l)/w)) / 2."""
         (v,) = at.position
         return 1 + 0.5 * p.change * (1 + tanh((v - p.point) / p.width))
+
+
+class OtherValue(ParameterEffect):
+    """A known parameter that is not as it was given: value = p (1 + e).
+
+    A mass from a drawing, a catalog's resistance, a volume without what is built in. It is asked of
+    known parameters alone; one that is free has the value that the record tells.
+    """
+
+    steady = True
+    parameters = (Parameter("error", ""),)
+
+    def factor(self, at, u, p):
+        """1 + e."""
+        return 1 + p.error

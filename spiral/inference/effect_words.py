@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from spiral.physics.formulas.laws import law_meaning
 from spiral.types.effect import Effect, ForceEffect, ParameterEffect, SensorEffect
-from spiral.types.formatting import first_words, join_words
-from spiral.types.model import Model
+from spiral.types.formatting import first_words, join_words, number
+from spiral.types.model import Model, pretty_unit
 from spiral.types.placement import at_every_place
-from spiral.types.port import place_name
+from spiral.types.port import place_name, varied_key
 from spiral.types.run import Round
 from spiral.types.system import System
 
@@ -57,6 +57,8 @@ def _label_with_place(model: Model, label: str, least_t: float) -> str:
     Of a parameter that varies it is said what it follows, of a law what it is.
     """
     effect = next((e for e in model.effects if e.label == label), None)
+    if isinstance(effect, ParameterEffect) and effect.steady:
+        return f"{label} ({_other_value(model, effect)})"
     if isinstance(effect, ParameterEffect):
         port = model.system.place(effect)
         return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
@@ -68,6 +70,14 @@ def _label_with_place(model: Model, label: str, least_t: float) -> str:
         else _effect_with_place(model.system, effect)
     )  # fmt: skip
     return f"{named} ({law})" if law else named
+
+
+def _other_value(model: Model, effect: ParameterEffect) -> str:
+    """Of a known parameter that is off: what it is, and what it was given as."""
+    key = varied_key(model.system.place(effect))
+    given, error = model.given_values[key], model.values.get(f"{effect.label}.error", 0.0)
+    value = f"{number(given * (1 + error))} {pretty_unit(model.unit(key))}".strip()
+    return f"{effect.port} is {value}, not {number(given)}"
 
 
 def _only_axes(model: Model, effect: Effect, least_t: float) -> tuple[str, ...]:

@@ -43,7 +43,8 @@ def candidates_for(
         )
         for effect in effects:
             check_effect(model.system, effect)
-    return tuple(e for e in effects if e.label not in model.labels)
+    free = {f"other_value@{key.removeprefix('system.')}" for key in model.freed}
+    return tuple(e for e in effects if e.label not in {*model.labels, *free})
 
 
 def check_holdout(share: float, blocks: int) -> None:

@@ -167,11 +167,11 @@ class Registry:
             plugin = self.entry("effect", name).plugin
             if not issubclass(plugin, Effect) or plugin.bare:
                 continue
-            if issubclass(
-                plugin, ParameterEffect
-            ):  # tried where no candidate explains what is left
+            varying = issubclass(plugin, ParameterEffect) and not plugin.steady
+            if varying:  # tried where no candidate explains what is left
                 continue
-            if issubclass(plugin, InputEffect | StateFlow) and not everywhere:
+            placed = issubclass(plugin, InputEffect | StateFlow | ParameterEffect)
+            if placed and not everywhere:
                 continue
             places = at_every_place(system, plugin()) if everywhere else (plugin(),)
             effects += [e for e in places if fits(system, e)]
@@ -182,7 +182,8 @@ class Registry:
         from spiral.types.effect import ParameterEffect
 
         plugins = (self.entry("effect", name).plugin for name in self.names("effect"))
-        return tuple(plugin() for plugin in plugins if issubclass(plugin, ParameterEffect))
+        changing = (p for p in plugins if issubclass(p, ParameterEffect) and not p.steady)
+        return tuple(plugin() for plugin in changing)
 
     def dictionary(self, system: System) -> tuple[Effect, ...]:
         """Learned effects (``spiral.physics.learned``) at every place where they fit.

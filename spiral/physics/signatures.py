@@ -33,9 +33,9 @@ from spiral.types.effect import (
 )
 from spiral.types.label import parameter_of
 from spiral.types.placement import check_effect, input_columns
-from spiral.types.port import At, Port
+from spiral.types.port import At, Port, varied_key
 from spiral.types.record import Array
-from spiral.types.system import MechanicalSystem, System, has_coordinates, varied_key
+from spiral.types.system import MechanicalSystem, System, has_coordinates
 
 Function = Callable[..., Any]
 _SMALL = 1e-8  # amplitude of an effect on an input, which may be linear to leading order only
@@ -162,7 +162,7 @@ def _varied_slopes(
     small: Sequence[SimpleNamespace],
 ) -> tuple[Array, Array]:
     """Slopes of rates and readings by the (``small``) amplitudes of a parameter that varies."""
-    at = At((followed_variable(along, port),), (), SimpleNamespace())
+    at = At((followed_variable(along, port),) if port.against else (), (), SimpleNamespace())
     factors = [call_equation(effect, "factor", effect.factor, at, u, p) for p in small]
     change = (_stack_columns(factors, len(along.states)) - 1.0)[:, None] / _SMALL
     rates, readings = along.by_parameter[varied_key(port)]
@@ -206,7 +206,8 @@ def port_motion_along(along: SystemMotion, effect: Effect) -> tuple[Array, Array
     if isinstance(effect, SensorEffect) and not effect.driver:
         return _channel_motion(along, port)
     if isinstance(effect, ParameterEffect | SensorEffect):
-        position = followed_variable(along, port)[:, None]
+        still = np.zeros(len(along.states))
+        position = (followed_variable(along, port) if port.against else still)[:, None]
         return position, np.gradient(position, axis=0)
     if isinstance(effect, InputEffect):
         position = _recorded_input(along, port)[:, None]

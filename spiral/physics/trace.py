@@ -34,8 +34,8 @@ from spiral.types.effect import (
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.parameter import Parameter
 from spiral.types.placement import check_effect, input_columns, model_keys
-from spiral.types.port import At, Port
-from spiral.types.system import System, has_coordinates, varied_key
+from spiral.types.port import At, Port, varied_key
+from spiral.types.system import System, has_coordinates
 
 _IN_LINE = 3  # at most so many effects on one input act one after the other
 
@@ -252,7 +252,7 @@ def _place_effect(
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, ParameterEffect) or getattr(effect, "driver", ""):
-        position = ({**inputs, **states}[port.against],)
+        position = ({**inputs, **states}[port.against],) if port.against else ()
     elif isinstance(effect, StateFlow):
         outside = {**inputs, **states}[port.against] if port.against else 0
         position = tuple(getattr(x, name) - outside for name in port.axes)

@@ -161,10 +161,12 @@ class ParameterEffect(Effect):
 
     The value that acts is ``factor`` times the parameter's own. Its port is that parameter and what
     it follows, ``PARAMETER-VARIABLE`` (``conductance-flow``, ``linear_stiffness.stiffness-time``).
-    ``position`` is the unit of what it follows. It has no states of its own.
+    ``position`` is the unit of what it follows. It has no states of its own. One that is ``steady``
+    follows nothing: a known parameter has another value; its port is that parameter.
     """
 
     axes: ClassVar[int | None] = 1
+    steady: ClassVar[bool] = False
 
     @abstractmethod
     def factor(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> Any:

@@ -47,7 +47,8 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
         fit = [port for port in system.sensed if effect.axes in (None, len(port.axes))]
         names = [place_name(port) for port in fit]
     elif isinstance(effect, ParameterEffect):
-        return [replace(effect, port=place_name(port)) for port in system.varied]
+        ports = system.known if effect.steady else system.varied
+        return [replace(effect, port=place_name(port)) for port in ports]
     elif isinstance(effect, StateFlow):
         return [replace(effect, port=place_name(port)) for port in system.places_for_flow(effect)]
     else:

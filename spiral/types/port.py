@@ -82,3 +82,9 @@ def joint_coordinates(
 ) -> Callable[[SimpleNamespace, SimpleNamespace], list[Any]]:
     """Coordinates of two ports in one list."""
     return lambda q, p: [*first.coordinates(q, p), *second.coordinates(q, p)]
+
+
+def varied_key(port: Port) -> str:
+    """The full name ``OWNER.PARAMETER`` of the parameter at a port of ``System.varied``."""
+    (name,) = port.axes
+    return name if "." in name else f"system.{name}"

@@ -278,9 +278,8 @@ class System(Plugin):
     def uncoupled(self) -> Mapping[str, tuple[Port, ...]]:
         """Ports for what an ``input``, or a ``state``, adds where the system gives it no path.
 
-        Such a port is called ``NAME by VARIABLE``. Of coordinates those count that are ports,
-        of other states each that effects may flow into, of inputs those that no other follows. Of
-        states those of another unit; on a coordinate acts none of another coordinate.
+        Such a port is called ``NAME by VARIABLE``: any coordinate that is a port or state that
+        effects may flow into, by an input that no other follows, or a state of another unit.
         """
         return _uncoupled_ports(self)
 
@@ -303,6 +302,12 @@ class System(Plugin):
         """
         return tuple(_varied_ports(self).values())
 
+    @property
+    def known(self) -> tuple[Port, ...]:
+        """Ports for known parameters that may be off: those that have a value and are not found."""
+        off = (p for p in self.parameters if p.start and p.role == "amplitude")
+        return tuple(Port(f"parameter {p.name}", (p.name,), lambda x, p: [], "", "") for p in off)
+
     def place(self, effect: Effect) -> Port:
         """Where an effect acts: at a port, on an input, a parameter, a state, or the sensors."""
         if isinstance(effect, SensorEffect) and effect.driver:
@@ -317,6 +322,8 @@ class System(Plugin):
             return self._place_of(
                 effect, self.driven, "which acts on an input", "an input that no other follows"
             )
+        if isinstance(effect, ParameterEffect) and effect.steady:
+            return self._place_of(effect, self.known, "of a known parameter", "a known parameter")
         if isinstance(effect, ParameterEffect):
             return _varied_ports(self).get(effect.port) or self._place_of(
                 effect, self.varied, "which changes a parameter with a variable", "a parameter"
@@ -418,12 +425,6 @@ class MechanicalSystem(System):
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
         rates.update({n: f + injected.get(n, 0) for n, f in self.flows(q, v, u, p).items()})
         return rates
-
-
-def varied_key(port: Port) -> str:
-    """The full name ``OWNER.PARAMETER`` of the parameter at a port of ``System.varied``."""
-    (name,) = port.axes
-    return name if "." in name else f"system.{name}"
 
 
 @kept(32)

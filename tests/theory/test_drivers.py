@@ -5,8 +5,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import spiral
+from spiral.io.problem_setup import candidates_for
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError
+from spiral.types.model import seed_model
 from spiral.types.port import place_name
 from spiral.types.record import make_record
 
@@ -51,15 +53,15 @@ def turned(emf=0.0, crosstalk=0.0, seed=0):
     )
 
 
-def body():
-    """A warm body in a room, read by a thermometer."""
+def body(free=("C", "G")):
+    """A warm body in a room, read by a thermometer; it is 8000 J/K and 13 W/K."""
 
     def rhs(t, x, u, p):
         return [(u.heater - p.G * (x.T - u.room)) / p.C]
 
     return spiral.system(
         rhs, states={"T": "K"}, inputs={"heater": "W", "room": "K", "sun": "W/m^2"},
-        parameters={"C": (9000.0, "J/K"), "G": (12.0, "W/K")}, observed=["T"], free=["C", "G"],
+        parameters={"C": (9000.0, "J/K"), "G": (12.0, "W/K")}, observed=["T"], free=free,
     )  # fmt: skip
 
 
@@ -129,3 +131,21 @@ def test_nothing_is_missing_where_nothing_is():
     for record, system in ((turned(), motor()), (warmed(0.0), body())):
         run = spiral.discover(record, system, holdout=0.3)
         assert (run.verdict, run.missing) == ("nothing_missing", ())
+
+
+def test_a_known_value_that_is_off_is_named_with_what_it_is():
+    """9000 J/K and 12 W/K were given and believed; a loss to the room looks like the latter."""
+    run = spiral.discover(warmed(0.0), body(free=()), holdout=0.3)
+    assert run.missing == ("other_value@C", "linear_loss@T-room")
+    assert "other_value@C (C is 8002 J/K, not 9000)" in run.summary
+    assert "linear_loss@T-room (or other_value@G" in run.summary
+
+
+def test_values_that_are_found_are_not_asked_for():
+    """Of C, which is free, and of what a study frees."""
+    system = body(free=("C",))
+    assert [place_name(p) for p in system.known] == ["G"]
+    asked = candidates_for(REGISTRY, seed_model(system), None, everywhere=True)
+    assert "other_value@G" in [e.label for e in asked]
+    freed = candidates_for(REGISTRY, seed_model(system, freed=("system.G",)), None, everywhere=True)
+    assert "other_value@G" not in [e.label for e in freed]

@@ -6,7 +6,7 @@ import numpy as np
 
 from spiral.engine.likelihood.predict import log_likelihood
 from spiral.inference.likelihood.candidates import Rival
-from spiral.types.effect import SensorEffect
+from spiral.types.effect import ParameterEffect, SensorEffect
 from spiral.types.label import make_label
 
 TWIN = 0.98  # share of the gain from which a declared twin counts as one
@@ -57,16 +57,18 @@ def simplest_rival(
 
     A change of the machine comes before one of a sensor, then one of few parameters, then a special
     case of another: an actuator that limits its rate far beyond what it is asked for is one that
-    lags, and a loss that differs by direction, of what flows one way only, is a linear one.
+    lags, and a loss that differs by direction, of what flows one way only, is a linear one. Last
+    comes that a known parameter is not as it was given.
     """
     group = [rival, *(next(r for r in rivals if r.label == x) for x in aliases)]
 
     special = {make_label(x, e.port) for e in (r.ranked.variant.original for r in group)
                for x in e.special}  # fmt: skip
 
-    def complexity(one: Rival) -> tuple[bool, int, bool]:
+    def complexity(one: Rival) -> tuple[bool, bool, int, bool]:
         effect = one.ranked.variant.original
-        return _is_sensor_effect(one), len(effect.parameters), one.label not in special
+        doubted = isinstance(effect, ParameterEffect) and effect.steady  # what was given is trusted
+        return doubted, _is_sensor_effect(one), len(effect.parameters), one.label not in special
 
     chosen = min(group, key=complexity)
     return chosen, tuple(r.label for r in group if r is not chosen)

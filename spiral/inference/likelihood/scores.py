@@ -50,8 +50,8 @@ from spiral.physics.signatures import Own, SystemMotion, amplitude_names, signat
 from spiral.types.effect import Effect, ParameterEffect
 from spiral.types.label import parameter_of
 from spiral.types.placement import input_columns
+from spiral.types.port import varied_key
 from spiral.types.record import Array
-from spiral.types.system import varied_key
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _STRETCH = 8192  # samples over which a candidate's signature is evaluated at once

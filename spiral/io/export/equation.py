@@ -15,7 +15,8 @@ from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect, ParameterEffect, SensorEffect
 from spiral.types.label import owner_of, parameter_of
 from spiral.types.model import Model
-from spiral.types.system import has_coordinates, varied_key
+from spiral.types.port import varied_key
+from spiral.types.system import has_coordinates
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _GREEK = {"alpha": "α", "beta": "β", "theta": "θ", "phase": "θ", "speed": "Ω"}

@@ -152,6 +152,8 @@ def _print_where_it_acts(console: Console, plugin: type[Effect]) -> None:
     }  # fmt: skip
     if issubclass(plugin, StateFlow) and plugin.driver:
         kinds[StateFlow] = f"on a state to which the {plugin.driver} has no path, STATE-VARIABLE"
+    if issubclass(plugin, ParameterEffect) and plugin.steady:
+        kinds[ParameterEffect] = "on a known parameter"
     if issubclass(plugin, SensorEffect) and plugin.driver:
         kinds[SensorEffect] = "on a sensor and what else it may follow, CHANNEL-VARIABLE"
     where = next((told for kind, told in kinds.items() if issubclass(plugin, kind)), "at a port")
