@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextvars
 import functools
-import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import ParamSpec, TypeVar
@@ -51,16 +50,6 @@ def run_in_threads(run: Callable[[Job], R], jobs: Sequence[Job], samples: int = 
         finally:
             for one in started:
                 one.cancel()
-
-
-def split_among_threads(jobs: Sequence[Job]) -> list[Sequence[Job]]:
-    """Consecutive jobs in as many parts as there are threads for them; no part without jobs.
-
-    For work of which a part costs something itself, so that single jobs would cost more.
-    """
-    count = min(1 if _inside.get() else THREADS, len(jobs))
-    ends = [len(jobs) * i // count for i in range(count + 1)] if count else [0]
-    return [jobs[a:b] for a, b in itertools.pairwise(ends)]
 
 
 def one_blas_thread(step: Callable[P, R]) -> Callable[P, R]:

@@ -159,7 +159,13 @@ class Registry:
 
     def candidates(self, system: System, everywhere: bool = False) -> tuple[Effect, ...]:
         """Named effects that fit the system's first port, or (``everywhere``) any place of it."""
-        from spiral.types.effect import Effect, InputEffect, ParameterEffect, StateFlow
+        from spiral.types.effect import (
+            Effect,
+            InputEffect,
+            ParameterEffect,
+            SensorEffect,
+            StateFlow,
+        )
         from spiral.types.placement import at_every_place, fits
 
         effects: list[Effect] = []
@@ -170,7 +176,8 @@ class Registry:
             varying = issubclass(plugin, ParameterEffect) and not plugin.steady
             if varying:  # tried where no candidate explains what is left
                 continue
-            placed = issubclass(plugin, InputEffect | StateFlow | ParameterEffect)
+            driven = issubclass(plugin, SensorEffect) and bool(plugin.driver)
+            placed = driven or issubclass(plugin, InputEffect | StateFlow | ParameterEffect)
             if placed and not everywhere:
                 continue
             places = at_every_place(system, plugin()) if everywhere else (plugin(),)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,6 +34,33 @@ def first_words(names: Sequence[str], most: int = 4) -> str:
     """``a, b``, and where there are more than ``most``, ``a, b and 3 more``."""
     left = len(names) - most
     return ", ".join(names[:most]) + (f" and {left} more" if left > 0 else "")
+
+
+def sentences(text: str) -> list[tuple[str, tuple[str, ...]]]:
+    """A verdict point by point: sentences, and what is listed under one, as in ``More is missing``.
+
+    Clauses of a sentence that list different findings are points of their own; one that goes on
+    about the one before it (``they are left out``) stays with it.
+    """
+    points: list[tuple[str, tuple[str, ...]]] = []
+    for one in re.split(r"(?<=[.!?])\s+(?=[A-Z])", text.strip()):
+        first, *more = re.split(r"; (?!(?:it|they|this|test error) )", one)
+        lead, colon, rest = first.partition(": ")
+        if more and colon and "missing" in lead:
+            points.append((f"{lead}:", (rest, *more[:-1], more[-1].removesuffix("."))))
+        elif more:
+            points += [(_as_sentence(clause), ()) for clause in (first, *more)]
+        elif one:
+            points.append((one, ()))
+    return points
+
+
+def _as_sentence(clause: str) -> str:
+    """A clause that begins with a capital letter, but for a name, and ends with a full stop."""
+    word = clause.partition(" ")[0]
+    named = any(c in word for c in "._@")
+    first = clause if named else clause[:1].upper() + clause[1:]
+    return first if first.endswith(".") else f"{first}."
 
 
 def number(value: float | None, digits: int = 4) -> str:

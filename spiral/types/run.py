@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from spiral.types.display import Readable, Summary
 from spiral.types.errors import ConfigError
-from spiral.types.formatting import number, percent, probability
+from spiral.types.formatting import number, percent, probability, sentences
 from spiral.types.horizon import Change, Horizon
 from spiral.types.model import Model, estimates_dict
 from spiral.types.parameter import Interpolation
@@ -375,8 +375,10 @@ class Run:
         """What a notebook shows: the verdict, and the errors round by round."""
         head = "| round | added | fit error | test error | chi2/dof |"
         lines = [f"| {' | '.join(map(str, row))} |" for row in self._rows()]
-        said = f"**{self.verdict}**. {self.summary} {self.advice}".strip()
-        return "\n".join([said, "", head, "|--:|:--|--:|--:|--:|", *lines])
+        said = [f"**{self.verdict}**"]
+        for point, below in sentences(f"{self.summary} {self.advice}"):
+            said += [f"- {point}", *(f"    - {clause}" for clause in below)]
+        return "\n".join([said[0], "", *said[1:], "", head, "|--:|:--|--:|--:|--:|", *lines])
 
     def _rows(self) -> list[tuple[int, str, str, str, str]]:
         """Table rows of the rounds: number, effects added, fit and test error, chi2 per dof."""

@@ -10,7 +10,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
 from spiral.engine import threads
-from spiral.engine.threads import run_in_threads, split_among_threads
+from spiral.engine.threads import run_in_threads
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
 
@@ -81,18 +81,6 @@ def test_numpy_treats_an_overflow_as_where_the_jobs_were_given():
         assert run_in_threads(overflow, range(4)) == ["raised"] * 4
     with np.errstate(over="ignore"):
         assert run_in_threads(overflow, range(4)) == ["let pass"] * 4
-
-
-def test_jobs_are_split_evenly_and_in_order():
-    for count in range(12):
-        parts = split_among_threads(list(range(count)))
-        assert [x for part in parts for x in part] == list(range(count))
-        assert len(parts) == min(4, count)
-        assert max(map(len, parts), default=0) - min(map(len, parts), default=0) <= 1
-
-
-def test_inside_a_thread_jobs_are_not_split():
-    assert run_in_threads(lambda _: len(split_among_threads(range(8))), range(4)) == [1] * 4
 
 
 def test_a_study_is_the_same_on_any_number_of_threads(monkeypatch):

@@ -42,7 +42,8 @@ from spiral.engine.likelihood.predict import (
 from spiral.engine.likelihood.slope_cache import SlopeCache, size_slopes
 from spiral.engine.likelihood.steps import drop_bounded_columns, next_damped_step
 from spiral.engine.score import residual_block_samples
-from spiral.engine.threads import run_in_threads, split_among_threads
+from spiral.engine.threads import run_in_threads
+from spiral.physics.lanes import LANES
 from spiral.types.record import Array
 
 _DIFFERENCE = 0.05  # of the logarithm of a size, for its slopes
@@ -304,7 +305,8 @@ class _Search:
         runs = at.predictions
         if any(len(p.means) == 0 for p in runs):
             runs = predict_cases([(at.prepared, at.noise)], keep=True)[0]
-        jobs = list(itertools.product(range(len(runs)), split_among_threads(others)))
+        blocks = [others[j : j + LANES] for j in range(0, len(others), LANES)]
+        jobs = list(itertools.product(range(len(runs)), blocks))
 
         def vary_sizes(job: tuple[int, Sequence[NoiseModel]]) -> list[tuple[Array, Array]]:
             return vary_noise(*at.prepared[job[0]], at.noise, job[1], runs[job[0]])

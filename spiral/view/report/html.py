@@ -187,6 +187,7 @@ _STYLE = (
     ".caption{color:#555;font-size:14.5px;margin:4px 0 22px;max-width:80ch}"
     "figure{margin:14px 0}"
     ".lead{font-size:19px;max-width:70ch}.kind{color:#0072B2;font-weight:600;margin:0}"
+    ".points{max-width:75ch;padding-left:1.2em}.points li{margin:.25em 0}"
     ".sentence{border-left:4px solid #D55E00;padding:6px 14px;background:#FBF4EF;font-size:18px}"
     ".note{border-left:4px solid #E69F00;padding:4px 14px;background:#FDF8EC;margin:8px 0}"
     "table{border-collapse:collapse;margin:14px 0;font-size:15px}.wide{overflow-x:auto}"

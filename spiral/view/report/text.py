@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spiral.io.curves import SEED, Curves
-from spiral.types.formatting import number, percent, plus_minus, probability
+from spiral.types.formatting import number, percent, plus_minus, probability, sentences
 from spiral.types.run import UNTOLD, estimate_rows
 from spiral.view.report.evidence import result_rounds
 from spiral.view.report.markup import safe_mathml
@@ -113,11 +113,24 @@ def report_header(saved: Saved, curves: Curves | None) -> str:
     what = config.get("experiment") or system.get("name")
     moment = f"{saved['created'][:16].replace('T', ' ')} UTC"
     told = " · ".join(filter(None, (f"spiral {saved['verb']}", what and str(what), moment)))
-    return (
-        f'<p class="kind">{escape(told)}</p>'
-        f"<h1>{escape(_headline(result))}</h1>"
-        f'<p class="lead">{escape(_outcome(result))}</p>'
+    return f'<p class="kind">{escape(told)}</p><h1>{escape(_headline(result))}</h1>' + _lead(
+        _outcome(result)
     )
+
+
+def _lead(text: str) -> str:
+    """A verdict: its first sentence, and a list of the others."""
+    (head, under), *others = sentences(text) or [("", ())]
+    items = _list_items(under) + "".join(
+        f"<li>{escape(point)}{f'<ul>{_list_items(below)}</ul>' if below else ''}</li>"
+        for point, below in others
+    )
+    listed = f'<ul class="points">{items}</ul>' if items else ""
+    return f'<p class="lead">{escape(head)}</p>{listed}'
+
+
+def _list_items(clauses: Sequence[str]) -> str:
+    return "".join(f"<li>{escape(clause)}</li>" for clause in clauses)
 
 
 def _words_with_aliases(effect: str, others: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spiral.io.registry import NO_FOLDER
-from spiral.types.formatting import number, percent, plus_minus
+from spiral.types.formatting import number, percent, plus_minus, sentences
 from spiral.types.masking import without_passwords
 from spiral.view.terminal.shell import join_command
 
@@ -65,6 +65,29 @@ def print_heading(console: Console, text: str) -> None:
     """Print an empty line, then a heading."""
     console.print()
     console.print(Text(text, style="bold"))
+
+
+def print_points(console: Console, text: str) -> None:
+    """Print a verdict: its first sentence, then the others as a list."""
+    (head, under), *others = sentences(text) or [("", ())]
+    console.print(Text(head))
+    listed = _bulleted(under)
+    for point, below in others:
+        listed.add_row("-", Text(point))
+        if below:
+            listed.add_row("", _bulleted(below))
+    if listed.row_count:
+        console.print(listed)
+
+
+def _bulleted(lines: Sequence[str]) -> Table:
+    """A list with a dash before each line, which wraps behind it."""
+    listed = Table.grid(padding=(0, 1))
+    listed.add_column(no_wrap=True)
+    listed.add_column(overflow="fold")
+    for line in lines:
+        listed.add_row("-", Text(line))
+    return listed
 
 
 def ruled_table(*columns: str, right: Sequence[str] = ()) -> Table:

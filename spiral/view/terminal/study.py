@@ -19,6 +19,7 @@ from spiral.view.terminal.parts import (
     print_heading,
     print_next_steps,
     print_outcome_error,
+    print_points,
     print_records,
     request_command,
     ruled_table,
@@ -53,7 +54,7 @@ def _discover(console: Console, outcome: Outcome) -> None:
         print_not_separable(console, details.get("not_separable", {}))
         print_unknown_shape(console, run.unknown)
     print_heading(console, "Verdict")
-    console.print(Text(f"{run.summary} {run.advice}"))
+    print_points(console, f"{run.summary} {run.advice}")
     if not refused:
         print_next_steps(console, *_commands_after_discover(run, outcome.parts["config"]))
 

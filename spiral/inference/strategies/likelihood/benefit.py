@@ -9,6 +9,8 @@ import numpy as np
 from spiral.inference.disturbances import random_forces, what_acts
 from spiral.inference.nearness import (
     is_drowned_in_noise,
+    is_free_run_carried_away,
+    is_residual_white,
     leaves_less_than_noise,
     takes_little,
     unexplained_error_growth,
@@ -16,10 +18,15 @@ from spiral.inference.nearness import (
 from spiral.inference.problem import Settings
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import undetermined_effects
+from spiral.types.effect import SensorEffect
 from spiral.types.formatting import percent
 from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison
 
+_ANSWER = (
+    "without it white noise is left, and of free runs it takes little: as where a controller has "
+    "answered to the noise of a reading in the same sample"
+)
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
@@ -58,6 +65,8 @@ def refuse_unhelpful(
         )
     if is_drowned_in_noise(after, settings) and not is_drowned_in_noise(before, settings):
         return Refusal("with it the noise of a sensor would be most of its signal", alone=True)
+    if _is_answer_to_noise(before, after, settings):
+        return Refusal(_ANSWER)
     judged_ = changes(before.unseen, after.unseen)
     if (worse := unexplained_error_growth(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
@@ -73,6 +82,22 @@ def refuse_unhelpful(
         f"significant, but too small to matter: over every horizon it removes {removed} of the "
         f"error that is left (least {percent(settings.smallest)})"
     )
+
+
+def _is_answer_to_noise(before: Comparison, after: Comparison, settings: Settings) -> bool:
+    """Whether a sensor follows an input of the same sample beside what was white noise before.
+
+    A controller that has seen a reading answers to its noise in the same sample, so that its input
+    tells of that noise. Such an input takes nothing of a free run's error but noise.
+    """
+    known, system = before.model.labels, after.model.system
+    given = {i.name for i in system.inputs}
+    new = (e for e in after.model.effects if e.label not in known and isinstance(e, SensorEffect))
+    if not any(e.driver and system.place(e).against in given for e in new):
+        return False
+    errors = ((before.fit_error, after.fit_error), (before.test_error, after.test_error))
+    vain = is_free_run_carried_away(before) or all(takes_little(b, a) for b, a in errors)
+    return vain and is_residual_white(before, settings)
 
 
 def _refuse_below_noise(

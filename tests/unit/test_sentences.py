@@ -1,0 +1,31 @@
+"""Verdicts point by point."""
+
+from spiral.types.formatting import sentences
+
+
+def test_sentences_are_points_and_lists_are_listed():
+    told = sentences(
+        "Missing was rub at disk: test error 6.5 % -> 2.1 % (noise floor 1.9 %). More is missing: "
+        "what is left is not white; system.k is zero within its error. What is left is small."
+    )
+    assert told == [
+        ("Missing was rub at disk: test error 6.5 % -> 2.1 % (noise floor 1.9 %).", ()),
+        ("More is missing:", ("what is left is not white", "system.k is zero within its error")),
+        ("What is left is small.", ()),
+    ]
+
+
+def test_clauses_of_their_own_are_points_and_what_goes_on_stays():
+    told = sentences(
+        "Sensor x: 2 readings are missing; they are left out; a random force acts on x: 3 % of "
+        "all; system.k ends far off."
+    )
+    assert [point for point, _ in told] == [
+        "Sensor x: 2 readings are missing; they are left out.",
+        "A random force acts on x: 3 % of all.",
+        "system.k ends far off.",
+    ]
+
+
+def test_no_text_has_no_points():
+    assert sentences(" ") == []
