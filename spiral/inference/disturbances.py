@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.types.formatting import join_words, number, percent
+from spiral.types.formatting import duration, join_words, number, percent
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED, FORCES
@@ -75,7 +75,7 @@ def _spectrum_clause(kind: str, time: float | None) -> str:
         return ", white" if kind in FORCES else ""
     if kind == "swell":
         return f", around {number(1 / (2 * np.pi * time), 2)} Hz"
-    return f", correlated over {number(time, 2)} s"
+    return f", correlated over {duration(time)}"
 
 
 def record_sentence(comparison: Comparison) -> str:

@@ -75,6 +75,21 @@ def digits(value: float | None, count: int = 3) -> str:
     return f"{float(value):#.{count}g}".removesuffix(".")  # type: ignore[arg-type]
 
 
+def duration(seconds: float, digits: int = 2) -> str:
+    """A time in a unit in which it is no large number: ``450 s``, ``95 min``, ``6.4 h``, ``3.9 d``.
+
+    A unit begins at ten minutes, two hours, two days.
+    """
+    for least, unit, size in (
+        (172800.0, "d", 86400.0),
+        (7200.0, "h", 3600.0),
+        (600.0, "min", 60.0),
+    ):
+        if abs(seconds) >= least:
+            return f"{number(seconds / size, digits)} {unit}"
+    return f"{seconds:.0f} s" if abs(seconds) >= 100 else f"{number(seconds, digits)} s"
+
+
 def probability(value: float | None) -> str:
     """A p-value: ``0.32``, ``2e-09``, ``< 1e-99``."""
     if not _is_finite_number(value):

@@ -162,3 +162,15 @@ def test_latex_is_balanced():
     assert text.count(r"\left") == text.count(r"\right")
     assert r"\ddot{x} &=" in text
     assert r"\Omega" in text
+
+
+def test_a_difference_that_cannot_be_multiplied_out_stays_as_it_is(monkeypatch):
+    """As of nested conditions of which SymPy makes one that compares nothing (choked flow)."""
+
+    def expand(value):
+        raise TypeError("Invalid NaN comparison")
+
+    model = seed_model(OSCILLATOR)
+    plain = equation_text(model)
+    monkeypatch.setattr("sympy.expand", expand)
+    assert equation_text(model).count("linear_stiffness") == plain.count("linear_stiffness") == 1

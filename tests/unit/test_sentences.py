@@ -1,6 +1,6 @@
 """Verdicts point by point."""
 
-from spiral.types.formatting import sentences
+from spiral.types.formatting import duration, sentences
 
 
 def test_sentences_are_points_and_lists_are_listed():
@@ -29,3 +29,8 @@ def test_clauses_of_their_own_are_points_and_what_goes_on_stays():
 
 def test_no_text_has_no_points():
     assert sentences(" ") == []
+
+
+def test_times_are_told_in_a_unit_in_which_they_are_small():
+    told = [duration(s) for s in (0.0123, 450, 5700, 23_000, 340_000)]
+    assert told == ["0.012 s", "450 s", "95 min", "6.4 h", "3.9 d"]

@@ -29,7 +29,7 @@ from spiral.engine.score import residual_block_samples
 from spiral.engine.series import sample_inputs
 from spiral.inference.disturbances import what_acts
 from spiral.physics.passivity import implausible_signs
-from spiral.types.formatting import number, percent, plus_minus
+from spiral.types.formatting import duration, number, percent, plus_minus
 from spiral.types.invalid import reading_step
 from spiral.types.label import without_variant
 from spiral.types.model import Model
@@ -318,7 +318,7 @@ def _line_remarks(estimate: MaximumLikelihood) -> tuple[str, ...]:
         hertz = top / (task.series.dt * len(part.whitened))
         said.append(
             f"{percent(shares[top])} of what is missed of {channel} is one line at "
-            f"{number(hertz, 3)} Hz (a period of {number(1 / hertz, 3)} s) that no input has: a "
+            f"{number(hertz, 3)} Hz (a period of {duration(1 / hertz, 3)}) that no input has: a "
             "periodic disturbance, or a resonance that the model lacks"
         )
     return tuple(said)

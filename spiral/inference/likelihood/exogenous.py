@@ -29,7 +29,7 @@ from spiral.engine.likelihood.disturbances import smoothed_forces
 from spiral.engine.series import sample_inputs
 from spiral.inference.disturbances import what_acts
 from spiral.inference.likelihood.fitting import LikelihoodFit
-from spiral.types.formatting import number, percent
+from spiral.types.formatting import duration, percent
 from spiral.types.placement import TIME
 from spiral.types.record import Array
 
@@ -84,7 +84,7 @@ def followed_force_sentences(fit: LikelihoodFit) -> tuple[str, ...]:
     if followed is None:
         return ()
     acting = what_acts(fit.estimate.prepared[0][0].model)
-    before = f" of {number(followed.lag, 2)} s before" if followed.lag else ""
+    before = f" of {duration(followed.lag)} before" if followed.lag else ""
     return (
         f"the random {acting} on {followed.state.removesuffix('_rate')} is no chance: "
         f"{percent(followed.share)} of its mean square follows {followed.source}{before}",

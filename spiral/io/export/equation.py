@@ -220,9 +220,16 @@ def _real_symbol(name: str) -> sp.Symbol:
 
 
 def _shorter_difference(value: sp.Expr, before: sp.Expr) -> Any:
-    """value - before; multiplied out only where that is shorter."""
+    """value - before; multiplied out only where that is shorter.
+
+    Of nested conditions (choked flow through an orifice) SymPy may make one that compares nothing;
+    such a difference stays as it is.
+    """
     left = value - before
-    expanded = sp.expand(left) if before != 0 else left
+    try:
+        expanded = sp.expand(left) if before != 0 else left
+    except TypeError:
+        return left
     return min((left, expanded), key=sp.count_ops)
 
 
