@@ -44,7 +44,7 @@ def sentences(text: str) -> list[tuple[str, tuple[str, ...]]]:
     """
     points: list[tuple[str, tuple[str, ...]]] = []
     for one in re.split(r"(?<=[.!?])\s+(?=[A-Z])", text.strip()):
-        first, *more = re.split(r"; (?!(?:it|they|this|test error) )", one)
+        first, *more = re.split(r"; (?!(?:it|they|this|test error) |[^(]*\))", one)
         lead, colon, rest = first.partition(": ")
         if more and colon and "missing" in lead:
             points.append((f"{lead}:", (rest, *more[:-1], more[-1].removesuffix("."))))

@@ -108,3 +108,14 @@ def test_a_filter_stays_with_a_train_that_drives_for_kilometres():
     run = predict_readings(task, settings, noise)
     assert run.whole
     assert np.mean(run.whitened[100:] ** 2) == pytest.approx(1.0, abs=0.1)
+
+
+def test_slopes_whose_squares_are_no_numbers_are_slopes():
+    """A reading that hardly follows its state, 1e-200 of it, beside a state of its own place."""
+    system = spiral.system(
+        ["a' = -k*(a - b)", "b' = k*(a - b)"], states={"a": "1", "b": "1"}, inputs={},
+        parameters={"k": "1 1/s", "e": "1e-200"}, observed=["y = e*a"],
+    )  # fmt: skip
+    shifts = shifts_of(system)
+    assert np.isfinite(shifts.directions).all()
+    assert shifts.anchors == ()

@@ -27,6 +27,11 @@ def test_clauses_of_their_own_are_points_and_what_goes_on_stays():
     ]
 
 
+def test_what_stands_in_brackets_stays_together():
+    told = "Air is held (record.hold=zero_order declares it; 3 samples of delay look the same)."
+    assert sentences(told) == [(told, ())]
+
+
 def test_no_text_has_no_points():
     assert sentences(" ") == []
 

@@ -60,12 +60,18 @@ def common_shifts(compiled: CompiledModel, values: Array, inputs: Array, scales:
         p = np.where(values == 0, 1.0, values) * rng.uniform(0.5, 1.5, len(values))
         u = inputs + rng.normal(size=len(inputs)) * np.where(inputs == 0, 1.0, np.abs(inputs))
         slopes = _slopes_by_states(compiled, wide * rng.normal(size=n), u, p)
-        rows += [r / np.linalg.norm(r) for r in slopes * wide if np.isfinite(r).all() and r.any()]
+        rows += [_unit(r) for r in slopes * wide if np.isfinite(r).all() and r.any()]
     if not rows:
         return Shifts(np.zeros((n, 0)), ())
     _, sizes, right = np.linalg.svd(np.array(rows))
     still = right[np.append(sizes, np.zeros(n - len(sizes))) <= _ZERO * sizes[0]].T
     return _reduce_to_anchors(still * wide[:, None])
+
+
+def _unit(row: Array) -> Array:
+    """A row of length one; squares of very large or small numbers are no numbers."""
+    row = row / np.abs(row).max()
+    return row / np.linalg.norm(row)
 
 
 def _slopes_by_states(compiled: CompiledModel, x: Array, u: Array, p: Array) -> Array:
