@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 
 def list_plugins(request: Request, registry: Registry) -> Outcome:
-    """Every plugin, or those of the kinds and names asked for; the model that a file holds."""
+    """Every plugin, or those of the kinds and names asked for; the model that a file holds.
+
+    A kind beside a name of that kind only says what the name is (``spiral plugins effect rub``).
+    """
     from spiral.io.system_files import plugin_of_file
 
     known = {*registry.kinds, *(e.name for e in registry.entries)}
@@ -31,7 +34,9 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
             )
     models = {f: _chosen_system((f"system={f}",), registry)[0] for f in files}
     asked = set(request.names)
-    entries = [e for e in registry.entries if not asked or {e.kind, e.name} & asked]
+    told = {e.kind for e in registry.entries if e.name in asked}
+    wanted = asked - told
+    entries = [e for e in registry.entries if not asked or e.name in asked or e.kind in wanted]
     result = {
         "plugins": [_plugin_dict(e) for e in entries],
         "failures": [

@@ -409,6 +409,11 @@ def test_plugins_list(capsys):
     assert "planar_rotor" in capsys.readouterr().out
 
 
+def test_a_kind_beside_a_name_of_it_says_what_the_name_is(capsys):
+    _, result = run_json(capsys, "plugins", "effect", "rub")
+    assert [p["name"] for p in result["plugins"]] == ["rub"]
+
+
 def test_an_effect_asked_for_shows_its_parameters_and_where_it_acts(capsys):
     assert main(["plugins", "tilting_rotor"]) == 0
     told = capsys.readouterr().out

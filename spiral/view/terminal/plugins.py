@@ -66,12 +66,12 @@ def _print_plugins(console: Console, outcome: Outcome) -> None:
     entries = outcome.parts["entries"]
     for kind in dict.fromkeys(e.kind for e in entries):
         print_heading(console, f"{kind}" + (" (record=, test=)" if kind == "source" else ""))
-        table = ruled_table("name", "meaning", "from")
-        for entry in (e for e in entries if e.kind == kind):
+        table, own = ruled_table("name", "meaning", "from"), [e for e in entries if e.kind == kind]
+        for entry in own:
             origin = entry.origin if entry.origin == "local" else f"{entry.origin} {entry.version}"
             table.add_row(Text(entry.name, style="bold"), Text(entry.plugin.meaning()), origin)
         console.print(table)
-        if kind == "effect" and (not outcome.parts["asked"] or kind in outcome.parts["asked"]):
+        if kind == "effect" and not {e.name for e in own} & {*outcome.parts["asked"]}:
             _print_laws(console)
     for entry in (e for e in entries if e.name in outcome.parts["asked"]):
         _print_explanation(console, entry.plugin)
