@@ -11,6 +11,7 @@ is taken first, until none is worth its penalty. Later, terms that are no longer
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -53,6 +54,7 @@ _GUST_SIZES = (1e-4, 1e-3, 4e-3, 0.015, 0.05)  # of a gust beside forces that ar
 _SWELL_SIZES = (0.01, 0.1)  # of a force in place of a sensor that rings
 _GUST, _GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
 _MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
+_NEXT = 8  # samples over which the most coloured channel is looked for
 _NARROW = 0.1  # damping ratio that a line begins with
 _MOST_STEEP = 12  # states of a steeper force: with n of them a sample costs n^3
 
@@ -406,10 +408,11 @@ def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
     }
     if not noise.has_kind("coloured") and not noise.has_kind("band"):
         kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
-        for kind, steps in kinds:
-            terms = tuple(NoiseTerm(kind, c) for c in channels)
+        alone = {channels, (_most_coloured_channel(now),)}  # one sensor does not pay for the others
+        for (kind, steps), some in itertools.product(kinds, sorted(alone, key=len, reverse=True)):
+            terms = tuple(NoiseTerm(kind, c) for c in some)
             sizes = {t.size: _SHARED * white[t.where] for t in terms}
-            less = {f"white.{c}": _SHARED * white[c] for c in channels}
+            less = {f"white.{c}": _SHARED * white[c] for c in some}
             yield AdditionalNoise(terms, sizes | less | {f"{kind}.time": steps * dt})
     for term in (NoiseTerm("drift", c) for c in channels):
         if term not in noise.terms:
@@ -418,6 +421,15 @@ def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
         terms = tuple(NoiseTerm("gust", g) for g in noise_groups(task))
         for values in initial_gust_sizes(task, terms):
             yield AdditionalNoise(terms, values)
+
+
+def _most_coloured_channel(now: MaximumLikelihood) -> str:
+    """The channel whose misses are correlated most over the next few samples, in squares."""
+    whitened = now.predictions[0].whitened
+    count = min(_NEXT, len(whitened) // 2)
+    lags = [np.sum(whitened[k:] * whitened[:-k], axis=0) ** 2 for k in range(1, count + 1)]
+    coloured = np.sum(lags, axis=0) / np.maximum(np.sum(whitened**2, axis=0), 1e-300) ** 2
+    return now.prepared[0][0].compiled.traced.channels[int(np.argmax(coloured))]
 
 
 def initial_drift_size(task: FilterInput, channel: str) -> float:
