@@ -16,11 +16,7 @@ SAID = {
 }
 """What stands among the outputs of each."""
 SHORT = {
-    "own_file": [
-        "Missing were coulomb_friction (or stribeck_friction: this record cannot tell them apart), "
-        "cubic_stiffness",
-        "States of oscillator",
-    ],
+    "own_file": SAID["own_file"],
     "own_system": SAID["own_system"],
 }
 """The same on a shorter record."""
