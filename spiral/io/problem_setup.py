@@ -13,10 +13,11 @@ from spiral.inference.evidence.scales import with_scaled_shapes
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.strategies.base import Strategy
 from spiral.io.registry import Registry
-from spiral.types.effect import Effect
+from spiral.types.effect import Effect, ParameterEffect
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.placement import check_effect
+from spiral.types.port import varied_key
 from spiral.types.record import Record, check_fits, in_blocks, split_off_test
 
 USUAL_STRATEGY = "likelihood"
@@ -43,8 +44,13 @@ def candidates_for(
         )
         for effect in effects:
             check_effect(model.system, effect)
-    free = {f"other_value@{key.removeprefix('system.')}" for key in model.freed}
-    return tuple(e for e in effects if e.label not in {*model.labels, *free})
+    return tuple(e for e in effects if e.label not in model.labels and not _is_of_freed(model, e))
+
+
+def _is_of_freed(model: Model, effect: Effect) -> bool:
+    """Whether an effect gives another value to a parameter that is found in any case."""
+    steady = isinstance(effect, ParameterEffect) and effect.steady
+    return steady and varied_key(model.system.place(effect)) in model.freed
 
 
 def check_holdout(share: float, blocks: int) -> None:

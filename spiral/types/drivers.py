@@ -120,19 +120,11 @@ def _parts_of_reading(system: ProbedSystem, channel: str) -> frozenset[str]:
 
         here = told(x, u)
         seen = {n for n in variables if told(*_moved_point(x, u, n)) != here}
-        rates = system.rate(x, u, p, nothing)
-        same = {n for n in variables if channel in rates and _is_its_rate(system, channel, n)}
+        rates, at = system.rate(x, u, p, nothing), {**vars(x), **vars(u)}
+        same = {n for n in variables if channel in rates and is_same(rates[channel], at[n])}
         return frozenset({*seen, *same})
     except Exception:
         return frozenset(variables)
-
-
-def _is_its_rate(system: ProbedSystem, state: str, other: str) -> bool:
-    """Whether a state's rate is another variable, by definition."""
-    x, u, p = random_point(system)
-    nothing = {i.name: 0.0 for i in system.injections}
-    at = SimpleNamespace(**vars(x), **vars(u))
-    return is_same(system.rate(x, u, p, nothing)[state], getattr(at, other))
 
 
 def _rate_vector(system: ProbedSystem, x: Any, u: Any, p: Any, injected: dict[str, float]) -> Any:

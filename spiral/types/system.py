@@ -221,11 +221,12 @@ class System(Plugin):
         )  # fmt: skip
 
     @property
+    @kept(32)
     def cross_read(self) -> tuple[Port, ...]:
         """Ports for what a sensor reads of another variable, as ``CHANNEL by VARIABLE``.
 
-        Variables are inputs that no other follows, and states but what a channel reports and its
-        rate; coordinates and their rates on a channel of their unit.
+        Those are inputs that no other follows, and states but what a channel reports and its rate;
+        coordinates and their rates on a channel of their unit.
         """
         return cross_read_ports(self, _free_inputs(self), _moving(self))
 
@@ -275,13 +276,17 @@ class System(Plugin):
         )
 
     @property
+    @kept(32)
     def uncoupled(self) -> Mapping[str, tuple[Port, ...]]:
         """Ports for what an ``input``, or a ``state``, adds where the system gives it no path.
 
         Such a port is called ``NAME by VARIABLE``: any coordinate that is a port or state that
         effects may flow into, by an input that no other follows, or a state of another unit.
         """
-        return _uncoupled_ports(self)
+        barred = {*_moving(self)}
+        if has_coordinates(self):
+            barred -= {*_plain_ports(self).values()}
+        return uncoupled_ports(self, _free_inputs(self), _moving(self), barred)
 
     def places_for_flow(self, effect: StateFlow) -> tuple[Port, ...]:
         """The ports at which a flow of this kind may act."""
@@ -425,15 +430,6 @@ class MechanicalSystem(System):
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
         rates.update({n: f + injected.get(n, 0) for n, f in self.flows(q, v, u, p).items()})
         return rates
-
-
-@kept(32)
-def _uncoupled_ports(system: System) -> dict[str, tuple[Port, ...]]:
-    """``System.uncoupled``."""
-    barred = {*_moving(system)}
-    if has_coordinates(system):
-        barred -= {*_plain_ports(system).values()}
-    return uncoupled_ports(system, _free_inputs(system), _moving(system), barred)
 
 
 def _moving(system: System) -> dict[str, str]:
