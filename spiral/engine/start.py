@@ -37,8 +37,8 @@ def smoothed_motion(study: CompiledStudy, series: Series, window: int) -> Motion
     """Local polynomials of degree 3 (Savitzky-Golay) through the measured coordinates.
 
     A coordinate of which only the acceleration is measured is that integrated twice, cubics in time
-    removed. A state without a measurement is zero, or the measured state or the input that it is
-    declared ``like``.
+    removed. A state without a measurement is where it is declared to ``start`` (zero), or the
+    measured state or the input that it is declared ``like``.
     """
     traced = study.compiled.traced
     states = np.zeros((series.samples, len(traced.states)))
@@ -56,7 +56,7 @@ def smoothed_motion(study: CompiledStudy, series: Series, window: int) -> Motion
         states[:, traced.states.index(name)] = _integrate_rate(rate, series)
         if traced.acceleration:
             acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
-    fill_like_states(traced, states, sample_inputs(series.inputs, series.substeps), smooth[0])
+    fill_declared_starts(traced, states, sample_inputs(series.inputs, series.substeps), smooth[0])
     return Motion(states, acceleration)
 
 
@@ -69,17 +69,21 @@ def _integrate_rate(rate: Array, series: Series) -> Array:
     return integral - np.polynomial.Polynomial.fit(time, integral, 3)(time)
 
 
-def fill_like_states(
+def fill_declared_starts(
     traced: TracedModel,
     states: Array,
     inputs: Array,
     readings: Array | None = None,
     known: Collection[str] = (),
 ) -> None:
-    """Copy into states (..., n), the ``known`` apart, what each is ``like``.
+    """Write into states (..., n), the ``known`` apart, where each is declared to begin.
 
-    A state, an input (..., inputs), or a reading (..., channels) that is computed from states.
+    At its ``start``, or at what it is ``like``: a state, an input (..., inputs), or a reading
+    (..., channels) that is computed from states.
     """
+    for name, start in traced.starts:
+        if name not in known:
+            states[..., traced.states.index(name)] = start
     for name, shown in traced.like:
         if name in known:
             continue

@@ -10,7 +10,7 @@ import numpy as np
 from spiral.engine.kernel import trajectories
 from spiral.engine.resting import state_jacobian
 from spiral.engine.series import stable_steps, stage_inputs
-from spiral.engine.start import fill_like_states
+from spiral.engine.start import fill_declared_starts
 from spiral.physics.compile import compile_model
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
@@ -39,8 +39,8 @@ def simulate(
         speed.
     noise_level : white Gaussian noise as a share of each channel's standard deviation; the record
         declares it.
-    start : initial states by name; zero where not named, but an effect's own state that follows a
-        sensor or an input (``like``) begins at what is there.
+    start : initial states by name; where not named, as the system declares (zero). An effect's own
+        state that follows a sensor or an input (``like``) begins at what is there.
     substeps : integration steps per sample, or more where the model is stiff at its start.
 
     Raises
@@ -80,8 +80,8 @@ def integrate(
             )
         x[compiled.traced.states.index(key)] = value
     stepped = stage_inputs(model.system, frame, substeps)
-    known = {s.name for s in model.system.states} | set(start or {})
-    fill_like_states(compiled.traced, x, stepped[0], known=known)
+    known = {s.name for s in model.system.states if not s.start} | set(start or {})
+    fill_declared_starts(compiled.traced, x, stepped[0], known=known)
     modes = np.linalg.eigvals(state_jacobian(compiled, values, stepped.mean(axis=0), x))
     if (needed := stable_steps(modes, frame.dt)) > substeps:
         substeps, stepped = needed, stage_inputs(model.system, frame, needed)

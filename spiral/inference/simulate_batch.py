@@ -9,7 +9,7 @@ import numpy as np
 
 from spiral.engine.batch import find_device, integrate_batch
 from spiral.engine.batch_inputs import InputColumn, lay_out_inputs
-from spiral.engine.start import fill_like_states
+from spiral.engine.start import fill_declared_starts
 from spiral.inference.simulate import SUBSTEPS
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.batch import Batch
@@ -151,13 +151,13 @@ def _initial_states(
     model: Model, traced: TracedModel, starts: Mapping[str, Array],
     columns: Sequence[InputColumn], inputs: Mapping[str, Array], count: int,
 ) -> Array:  # fmt: skip
-    """(simulations, states): zero where not named, an effect's own state at what it follows."""
+    """(simulations, states) where not named: as declared, an effect's own at what it follows."""
     x = np.zeros((count, len(traced.states)))
     for name, values in starts.items():
         x[:, traced.states.index(name)] = values
     first = np.zeros((count, len(columns)))
     for place, (name, column) in enumerate(zip(traced.inputs, columns, strict=True)):
         first[:, place] = inputs[name][..., 0] if name in inputs else column.first
-    known = {s.name for s in model.system.states} | set(starts)
-    fill_like_states(traced, x, first, known=known)
+    known = {s.name for s in model.system.states if not s.start} | set(starts)
+    fill_declared_starts(traced, x, first, known=known)
     return x

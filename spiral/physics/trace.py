@@ -57,6 +57,8 @@ class TracedModel:
     forces: tuple[sp.Expr, ...]
     acceleration: tuple[sp.Symbol, ...]
     like: tuple[tuple[str, str], ...] = ()
+    starts: tuple[tuple[str, float], ...] = ()
+    """States that begin elsewhere than at zero, and where."""
     rates: tuple[tuple[str, str], ...] = ()
     """Coordinates of the system whose rates have a name of their own, and that name."""
     reading_states: tuple[tuple[str, str, bool], ...] = ()
@@ -183,6 +185,7 @@ def trace(
         acceleration=acceleration,
         forces=forces,
         like=(*_declared_likeness(system), *states_like_port(system, effects)),
+        starts=tuple((s.name, s.start) for s in system.states if s.start),
         rates=_rate_names(system),
         reading_states=read,
     )

@@ -90,17 +90,31 @@ class State:
     """A state of a system, or of an effect that brings its own (``per_axis`` then counts axes).
 
     ``like`` names a measured state whose values are a first guess for this hidden one; without it
-    a fit begins at zero. Of an effect on a sensor or an input it may be ``position``: the state
-    begins at what is there.
+    a fit and a simulation begin at ``start``, in the state's unit. Of an effect on a sensor or an
+    input ``like`` may be ``position``: the state begins at what is there.
     """
 
     name: str
     unit: str
     per_axis: bool = False
     like: str = ""
+    start: float = 0.0
 
     def __post_init__(self) -> None:
         _check_name("state", self.name)
+        if self.like and self.start:
+            raise PluginError(
+                f"state {self.name!r} with like={self.like!r} and start={self.start:g}",
+                "one of both: what it begins like, or a number",
+                "leave one out",
+            )
+
+    @property
+    def first_guess(self) -> str:
+        """Where it is declared to begin, in words after its kind; empty for zero."""
+        if self.like:
+            return f", begins like {self.like}"
+        return f", begins at {self.start:g}" if self.start else ""
 
 
 Interpolation = Literal[

@@ -78,9 +78,8 @@ class System(Plugin):
         """(name, unit, what it is) of every state, reading and input."""
         rows = []
         for state in (*self.states, *self.readings):
-            told = "measured" if state.name in self.observed else "hidden"
-            like = f", begins like {state.like}" if state.like and told == "hidden" else ""
-            rows.append((state.name, state.unit or "1", told + like))
+            told = "measured" if state.name in self.observed else "hidden" + state.first_guess
+            rows.append((state.name, state.unit or "1", told))
         for one in self.inputs:
             told = f"input, {one.interpolation.replace('_', ' ')} between samples"
             rows.append((one.name, one.unit or "1", told))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import yaml
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 from spiral_plugins.systems.equations import Equations
@@ -116,6 +117,50 @@ def test_a_substrate_that_nobody_sees_begins_where_it_was():
         ))  # fmt: skip
     found = spiral.compare(records[0], system, test=records[1])
     assert found.test_error < 1.5 * found.noise_floor
+
+
+_BRAKE = """
+equations:
+  - C*T' + h*(T - W) = P
+  - D*W' + h*(W - T) + g*(W - air) = 0
+states: {T: K, W: {unit: K, start: 450}}
+inputs: {P: {unit: W, interpolation: linear}, air: {unit: K, interpolation: linear}}
+parameters: {C: 3000 J/K, D: 9000 J/K, h: 40 W/K, g: 25 W/K}
+free: [h, g]
+observed: [T]
+"""
+
+
+def test_a_hidden_state_begins_at_the_number_given(tmp_path):
+    """A pad that was warm before the record began: in a simulation, in words, and in a fit."""
+    file = tmp_path / "brake.yaml"
+    file.write_text(_BRAKE)
+    brake, t = spiral.system(file), 2.0 * np.arange(700)
+    assert ("W", "K", "hidden, begins at 450") in brake.quantities()
+    power = 4e3 * (np.sin(t / 60) + np.sin(t / 23) > 0.4)
+    inputs = {"P": power, "air": np.full(t.size, 293.0)}
+    said = {"inputs": inputs, "noise_level": 0.003}
+    cold = spiral.simulate(brake, 1400.0, 0.5, start={"T": 300.0, "W": 300.0}, **said)
+    record = spiral.simulate(brake, 1400.0, 0.5, start={"T": 300.0}, **said)
+    assert record.channels["T"][100] > 1.02 * cold.channels["T"][100]
+    compared = spiral.compare(record, brake)
+    assert compared.fit_error < 1.2 * compared.noise_floor
+    found = compared.model.estimates()["system"]
+    for name, true in {"h": 40.0, "g": 25.0}.items():
+        assert found[name].estimate == pytest.approx(true, abs=4 * found[name].se)
+
+
+def test_a_state_begins_like_another_or_at_a_number():
+    with pytest.raises(spiral.SpiralError, match="one of both"):
+        spiral.system(_brake_that(like="T"))
+    with pytest.raises(spiral.SpiralError, match="a number"):
+        spiral.system(_brake_that(start="warm"))
+
+
+def _brake_that(**begins):
+    return yaml.safe_load(_BRAKE) | {
+        "states": {"T": "K", "W": {"unit": "K", "start": 450} | begins}
+    }
 
 
 def test_an_absorber_is_not_lost_beside_a_sensor_that_drifts(tmp_path):

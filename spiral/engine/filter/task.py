@@ -27,7 +27,7 @@ from spiral.engine.resting import (
     steps_for_stability,
 )
 from spiral.engine.series import MOST_SUBSTEPS, Series, prepare_series
-from spiral.engine.start import fill_like_states, smoothed_motion
+from spiral.engine.start import fill_declared_starts, smoothed_motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import CompiledModel, compile_model
 from spiral.physics.readings import reading_slopes
@@ -346,5 +346,5 @@ def _first_state(compiled: CompiledModel, series: Series, mapping: StaticMap | N
         hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]
         for name, value in zip(mapping.hidden, hidden, strict=True):
             start[names.index(name)] = value
-    fill_like_states(compiled.traced, start, series.inputs[0], series.y[0])
+    fill_declared_starts(compiled.traced, start, series.inputs[0], series.y[0])
     return start

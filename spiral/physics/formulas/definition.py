@@ -44,7 +44,8 @@ class SystemDefinition:
     ------
     equations : one for each state, ``LEFT = RIGHT``; ``x'`` and ``x''`` are rates, of an input the
         first alone (also ``z_rate``).
-    states : name -> unit, or ``{unit: V, like: NAME of a measured state of alike values}``.
+    states : name -> unit, or ``{unit: V, like: NAME of a measured state of alike values}``,
+        or ``{unit: K, start: 293}``, where a hidden one begins.
     inputs : name -> unit, or ``{unit: N, interpolation: zero_order}``.
     parameters : name -> ``VALUE UNIT``, ``[VALUE, UNIT]``, ``UNIT`` where it is to be found, or
         ``{value: 2.0, unit: kg, lower: 0, upper: 5}``.
@@ -313,9 +314,14 @@ def _valid_unit(name: str, unit: Any) -> str:
 
 
 def _state(name: str, given: Any) -> State:
-    entry = _entry_fields("states", name, given, ("unit", "like"))
+    entry = _entry_fields("states", name, given, ("unit", "like", "start"))
+    start = _require_number(name, entry.get("start", 0.0))
     return _build_declaration(
-        State, name, _valid_unit(name, entry["unit"]), like=str(entry.get("like") or "")
+        State,
+        name,
+        _valid_unit(name, entry["unit"]),
+        like=str(entry.get("like") or ""),
+        start=start,
     )
 
 
