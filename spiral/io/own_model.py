@@ -68,6 +68,7 @@ def system(
     observed: Sequence[str] = (),
     *,
     free: Sequence[str] = (),
+    let: Mapping[str, str] | None = None,
     ports: Mapping[str, str | Sequence[str]] | None = None,
     mass: Mapping[str, Any] | Sequence[Sequence[Any]] | None = None,
     title: str = "",
@@ -103,6 +104,7 @@ def system(
         or ``{"value": 2.0, "unit": "kg", "lower": 0.0, "upper": 5.0}`` for bounds.
     observed : states that are measured; the others are hidden.
     free : parameters with a value that the fit moves all the same.
+    let : name -> formula, of equations: it stands for that formula wherever it is written.
     ports : name -> position where effects act, as a formula of the states (``"z - x"``), or one for
         each axis. Every other coordinate has a port of its own name.
     mass : coordinate -> inertia (``{"x": "m"}``), or rows of the mass matrix, where a force on one
@@ -120,6 +122,7 @@ def system(
     given = {
         "title": title or None, "states": states or {}, "inputs": inputs, "parameters": parameters,
         "observed": observed, "free": list(free) or None, "ports": ports, "mass": mass,
+        "let": let,
     }  # fmt: skip
     given = {k: v for k, v in given.items() if v is not None}
     if callable(source):

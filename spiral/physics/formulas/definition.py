@@ -18,6 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
+from spiral.physics.formulas.let import write_out
 from spiral.physics.formulas.observed import split_observed
 from spiral.types.errors import (
     ConfigError,
@@ -81,7 +82,7 @@ class SystemDefinition:
 
 
 _DERIVED = ("values", "readings")  # fields that follow from other sections
-SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name not in _DERIVED), "free")
+SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name not in _DERIVED), "free", "let")
 
 
 def check_free_parameters(definition: SystemDefinition) -> None:
@@ -106,7 +107,7 @@ def check_free_parameters(definition: SystemDefinition) -> None:
 
 @lru_cache(maxsize=64)
 def definition_of(text: str) -> SystemDefinition:
-    """A definition from its text.
+    """A definition from its text, the formulas that its section ``let`` names written out.
 
     Raises
     ------
@@ -116,6 +117,7 @@ def definition_of(text: str) -> SystemDefinition:
     for name in given:
         if name not in SECTIONS:
             raise unknown_field("system", str(name), SECTIONS)
+    given = write_out(given)
     free = tuple(map(str, given.get("free") or ()))
     constants = tuple(
         (n, *_required_quantity(n, v)) for n, v in _section(given, "constants").items()
