@@ -209,3 +209,19 @@ class InputCoupling(StateFlow):
         """c u."""
         (given,) = at.position
         return [p.gain * given]
+
+
+class QuadraticInputCoupling(StateFlow):
+    """The square of an input that acts where the model gives it no path: x' = ... + c u^2.
+
+    Joule heat of a current, the pull of an electrode or a coil, wind on a mast, drag of a stream:
+    what has no sign. Where the input hardly changes it looks like ``input_coupling``.
+    """
+
+    driver = "input"
+    parameters = (Parameter("gain", "force/position^2"),)
+
+    def flow(self, at, u, p):
+        """c u^2."""
+        (given,) = at.position
+        return [p.gain * given**2]

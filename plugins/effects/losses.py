@@ -302,3 +302,19 @@ class StateCoupling(StateFlow):
         """c v."""
         (other,) = at.position
         return [p.gain * other]
+
+
+class QuadraticStateCoupling(StateFlow):
+    """The square of a state that acts where the model gives it no path: x' = ... + c v^2.
+
+    v is of another unit: heat of a current or of friction, radiation pressure of a field, the pull
+    of a magnet, lift and thrust. Where v hardly changes it looks like ``state_coupling``.
+    """
+
+    driver = "state"
+    parameters = (Parameter("gain", "force/position^2"),)
+
+    def flow(self, at, u, p):
+        """c v^2."""
+        (other,) = at.position
+        return [p.gain * other**2]

@@ -84,6 +84,42 @@ def warmed(sunlit, seed=0):
     return make_record(body(), "body", time, {"T": read}, inputs, hold="zero_order")
 
 
+def coil():
+    """A coil in volts and its temperature; its builder forgot that current and light warm it."""
+
+    def rhs(t, x, u, p):
+        return [(u.V - p.R * x.i) / p.L, -p.G * (x.T - p.room) / p.C]
+
+    return spiral.system(
+        rhs, states={"i": "A", "T": "K"}, inputs={"V": "V", "E": "V/m"},
+        parameters={"L": (4.5, "H"), "R": (1.3, "ohm"), "G": (0.9, "W/K"),
+                    "C": (30.0, "J/K"), "room": (293.0, "K")},
+        observed=["i", "T"], free=["L", "R", "G"],
+    )  # fmt: skip
+
+
+def heated(current=0.0, field=0.0, seed=0):
+    """A record of the coil, warmed by the squares of its current and of a field E."""
+    rng, step, count = np.random.default_rng(seed), 0.5, 1200
+    volts = np.repeat(rng.uniform(-9, 9, count // 20), 20)
+    strength = np.repeat(rng.uniform(-2, 2, count // 30), 30)
+    states = [np.array([0.0, 293.0])]
+    for v, e in zip(volts[:-1], strength[:-1], strict=True):
+
+        def rate(t, x, v=v, e=e):
+            heat = current * x[0] ** 2 + field * e**2
+            return [(v - 1.2 * x[0]) / 5.0, (heat - 0.8 * (x[1] - 293.0)) / 30.0]
+
+        states.append(solve_ivp(rate, (0, step), states[-1], rtol=1e-9, atol=1e-9).y[:, -1])
+    clean = np.array(states)
+    noisy = clean + rng.normal(size=clean.shape) * [0.03, 0.2]
+    channels = {"i": noisy[:, 0], "T": noisy[:, 1]}
+    return make_record(
+        coil(), "coil", step * np.arange(count), channels, {"V": volts, "E": strength},
+        hold="zero_order",
+    )  # fmt: skip
+
+
 def test_drivers_are_those_that_the_equations_give_no_path():
     assert [place_name(p) for p in motor().uncoupled["input"]] == ["i-load", "w-V"]
     assert [place_name(p) for p in motor().uncoupled["state"]] == ["i-w"]
@@ -116,8 +152,10 @@ def test_a_spring_is_no_driver_of_the_mass_at_its_other_end():
         (lambda: turned(emf=EMF), motor, "state_coupling@i-w", "gain", -EMF / L),
         (lambda: turned(crosstalk=WIRED), motor, "input_coupling@i-load", "gain", -WIRED / L),
         (lambda: warmed(SUN), body, "cross_sensitivity@T-sun", "gain", SUN),
+        (lambda: heated(current=1.2), coil, "quadratic_state_coupling@T-i", "gain", 1.2 / 30),
+        (lambda: heated(field=9.0), coil, "quadratic_input_coupling@T-E", "gain", 9.0 / 30),
     ],
-    ids=["back-EMF", "crosstalk", "thermometer in the sun"],
+    ids=["back-EMF", "crosstalk", "thermometer in the sun", "Joule heat", "heat of a field"],
 )
 def test_a_driver_without_a_path_is_named_with_its_size(record, system, name, key, truth):
     run = spiral.discover(record(), system(), holdout=0.3)
@@ -128,7 +166,7 @@ def test_a_driver_without_a_path_is_named_with_its_size(record, system, name, ke
 
 
 def test_nothing_is_missing_where_nothing_is():
-    for record, system in ((turned(), motor()), (warmed(0.0), body())):
+    for record, system in ((turned(), motor()), (warmed(0.0), body()), (heated(), coil())):
         run = spiral.discover(record, system, holdout=0.3)
         assert (run.verdict, run.missing) == ("nothing_missing", ())
 

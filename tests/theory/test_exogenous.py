@@ -61,8 +61,7 @@ def test_smoothed_forces_are_the_conditional_mean(noise):
 
 
 def curves_of(sources):
-    return [(name, lag, curve) for name, s in sources.items()
-            for lag, curve in _delayed_curves(s)]  # fmt: skip
+    return [curve for name, s in sources.items() for curve in _delayed_curves(name, s)]
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.95, 0.995])

@@ -19,8 +19,9 @@ shifts are independent, and one of ten does best by chance once in ten times.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -44,6 +45,24 @@ _MOST = 16_384  # samples that are asked
 _ROOM = 2e7  # numbers that transitions of all samples may hold
 
 
+Correlation = Callable[[Array, Array], Array]
+"""(2, columns, shifts) sums on each half of columns (samples, columns) times values (samples,)."""
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """What a curve over ``source``, ``lag`` samples before, is made of: (samples, terms).
+
+    ``squares`` (2, terms, terms) are the sums of their products on each half of the record.
+    """
+
+    source: str
+    lag: int
+    values: Array
+    squares: Array
+    inverses: Array
+
+
 @dataclass(frozen=True)
 class FollowedForce:
     """A force that follows ``source`` of ``lag`` s before, which explains ``share`` of it."""
@@ -60,6 +79,8 @@ def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
     The longest record is asked.
     """
     task, settings = max(fit.estimate.prepared, key=lambda pair: pair[0].series.samples)
+    from scipy.fft import prev_fast_len
+
     size = len(task.states) + 1
     if task.series.samples * size**2 > _ROOM:
         return None
@@ -67,11 +88,9 @@ def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
     sources = None if forces is None else _exogenous_motion(task)
     if forces is None or sources is None:
         return None
-    most = slice(0, _MOST)
-    curves = [
-        (name, lag, curve) for name, s in sources.items() for lag, curve in _delayed_curves(s[most])
-    ]
+    most = slice(0, prev_fast_len(min(len(forces), _MOST), real=True))
     moving = {name: s[most] for name, s in sources.items()}
+    curves = [curve for name, s in moving.items() for curve in _delayed_curves(name, s)]
     pushed = np.flatnonzero(forces.std(axis=0) > 0) if curves else []
     tested = (_explained(task.states[i], forces[most, i], curves, moving) for i in pushed)
     found = max((t for t in tested if t is not None), key=lambda t: t.share, default=None)
@@ -102,8 +121,8 @@ def _exogenous_motion(task: FilterInput) -> dict[str, Array] | None:
     return told | dict(zip(task.states, states.T, strict=True))
 
 
-def _delayed_curves(s: Array) -> Iterator[tuple[int, Array]]:
-    """Lags in samples, and what a curve over s at that time before is made of (samples, terms)."""
+def _delayed_curves(source: str, s: Array) -> Iterator[_Curve]:
+    """Curves over s at some lags, none of what does not move."""
     spread = s.std()
     if not (np.isfinite(spread) and spread > 0):
         return
@@ -113,34 +132,47 @@ def _delayed_curves(s: Array) -> Iterator[tuple[int, Array]]:
     for lag in (k for k in lags if k <= _NEAR * len(z)):
         past = np.concatenate([np.full(lag, z[0]), z[: len(z) - lag]])
         steps = (np.tanh(_SHARP * (past - corner)) for corner in _CORNERS)
-        yield lag, np.column_stack([np.ones(len(past)), past, past**2, *steps])
+        values = np.column_stack([np.ones(len(past)), past, past**2, *steps])
+        squares = _multiply_by_halves(values, values)
+        yield _Curve(source, lag, values, squares, np.linalg.pinv(squares))
 
 
 def _explained(
-    state: str, force: Array, curves: list[tuple[str, int, Array]], echoing: Mapping[str, Array]
+    state: str, force: Array, curves: Sequence[_Curve], echoing: Mapping[str, Array]
 ) -> FollowedForce | None:
-    """What a force follows, and by how many samples, where that is no chance."""
+    """What a force follows, and by how many samples, where that is no chance.
+
+    What is explained without a shift is asked first: where that is too little, no shift is.
+    """
     f, count = force - force.mean(), len(force)
-    reach = round(_NEAR * count)
-    block = np.arange(count) * _BLOCKS // count
-    halves = np.column_stack([block % 2 == 0, block % 2 == 1]).astype(float)
+    reach, halves = round(_NEAR * count), _halves(count)
     energy = np.maximum(_correlate(halves, f**2), np.finfo(float).tiny)
     echoes = [_regress_echo(s, f, halves, energy, reach) for s in echoing.values()]
-    fits = np.array([
-        *(_regress_shifted(curve, f, halves, energy) for *_, curve in curves),
-        *(shares for shares, _ in echoes),
-    ])  # fmt: skip
-    share, each = np.zeros(count), np.zeros(len(fits))
-    for inside, outside in fits.transpose(1, 2, 0, 3):  # of every curve, at every shift
-        share += 0.5 * outside[np.argmax(inside, axis=0), np.arange(count)]
-        each += 0.5 * outside[:, 0]
-    told = [(name, lag) for name, lag, _ in curves]
+
+    def shares_of_all(correlate: Correlation, energy: Array) -> Array:
+        shares = [_regress_curve(c, correlate(c.values, f), energy) for c in curves]
+        return np.array([*shares, *(s[..., : energy.shape[1]] for s, _ in echoes)])
+
+    unshifted = shares_of_all(_multiply_by_halves, energy[:, :1])
+    if _confirmed_shares(unshifted)[0] < _SHARE:
+        return None
+    told = [(c.source, c.lag) for c in curves]
     told += [(name, lag) for name, (_, lag) in zip(echoing, echoes, strict=True)]
-    source, lag = told[int(np.argmax(each))]
+    source, lag = told[int(np.argmax(unshifted[:, :, 1, 0].sum(axis=1)))]
+    share = _confirmed_shares(shares_of_all(_correlate_by_halves, energy))
     far = np.arange(reach, count - 2 * reach)  # no lag of an echo comes near to none there
-    if not (share[0] >= _SHARE and share[0] > _LEAD * share[far].max(initial=0.0)):
+    if not share[0] > _LEAD * share[far].max(initial=0.0):
         return None
     return FollowedForce(state, source, lag, float(share[0]))
+
+
+def _confirmed_shares(fits: Array) -> Array:
+    """(shifts,) what the curve that explains most on one half explains on the other, on the mean.
+
+    ``fits`` : (curves, halves, inside and outside, shifts).
+    """
+    at = np.arange(fits.shape[-1])
+    return np.mean([o[np.argmax(i, axis=0), at] for i, o in fits.transpose(1, 2, 0, 3)], axis=0)
 
 
 def _regress_echo(
@@ -177,25 +209,49 @@ def _largest_within(values: Array, width: int) -> Array:
     return better(at, np.roll(at, span - max(width, span)))
 
 
-def _regress_shifted(curve: Array, force: Array, halves: Array, energy: Array) -> Array:
+def _regress_curve(curve: _Curve, seen: Array, energy: Array) -> Array:
     """(2, 2, shifts) shares of a force, shifted around the end, that a curve explains.
 
-    Fitted on either of the ``halves`` (samples, 2), of the force there and on the other half;
-    ``energy`` (2, shifts) is the force's on each. All shifts at once are correlations, by the fast
-    Fourier transform.
+    Fitted on either half, of the force there and on the other half; ``seen`` (2, terms, shifts) are
+    the curve's sums with the force on each half, ``energy`` (2, shifts) is the force's.
     """
-    parts = [curve * half[:, None] for half in halves.T]
-    squares, seen = [part.T @ part for part in parts], [_correlate(part, force) for part in parts]
     shares = []
     for here, there in ((0, 1), (1, 0)):
-        b = np.linalg.pinv(squares[here]) @ seen[here]
+        b = curve.inverses[here] @ seen[here]
         inside = np.sum(b * seen[here], axis=0) / energy[here]
-        left = 2 * np.sum(b * seen[there], axis=0) - np.sum(b * (squares[there] @ b), axis=0)
+        left = 2 * np.sum(b * seen[there], axis=0)
+        left -= np.sum(b * (curve.squares[there] @ b), axis=0)
         shares.append((inside, left / energy[there]))
     return np.array(shares)
 
 
+def _blocks(count: int) -> Array:
+    """(samples,) which of the stretches that halve a record in turns each sample is in."""
+    return np.arange(count) * _BLOCKS // count
+
+
+def _halves(count: int) -> Array:
+    """(samples, 2) whether each sample is in a half of the record: every other stretch."""
+    return np.column_stack([_blocks(count) % 2 == half for half in (0, 1)]).astype(float)
+
+
+def _multiply_by_halves(columns: Array, values: Array) -> Array:
+    """(2, columns, ...) sums over t of column(t) value(t), on each half."""
+    edges = np.searchsorted(_blocks(len(values)), np.arange(_BLOCKS + 1))
+    sums = [columns[a:b].T @ values[a:b] for a, b in pairwise(edges)]
+    return np.array([sum(sums[half::2]) for half in (0, 1)]).reshape(2, columns.shape[1], -1)
+
+
+def _correlate_by_halves(columns: Array, values: Array) -> Array:
+    """(2, columns, shifts) sums of the columns on each half with values, shifted around the end."""
+    halves = _halves(len(values)).T
+    return np.array([_correlate(columns * half[:, None], values) for half in halves])
+
+
 def _correlate(columns: Array, values: Array) -> Array:
-    """(columns, shifts) sum over t of column(t) value(t + shift), around the end."""
+    """(columns, shifts) sum over t of column(t) value(t + shift), around the end.
+
+    All shifts at once, by the fast Fourier transform.
+    """
     spectrum = np.conj(np.fft.rfft(columns, axis=0)) * np.fft.rfft(values)[:, None]
     return np.fft.irfft(spectrum, len(values), axis=0).T

@@ -25,7 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.task import resting_first_state
+from spiral.engine.filter.task import FilterInput, resting_first_state
 from spiral.engine.likelihood.fit import ROUGH
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise, size_limits
 from spiral.engine.likelihood.predict import (
@@ -68,6 +68,7 @@ _WINDOWS = 2  # window lengths of a start from windows
 _SHOWN = 0.1  # standard errors by which steps of half the length may move an estimate
 _AWAY = 100.0  # factor from the given value beyond which a fitted one has run away
 _QUIET = 1e-3  # level of a random force that does next to nothing
+_RELAXED = 4.0  # samples over which coloured noise of a sensor is correlated, to begin with
 
 
 def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> LikelihoodFit:
@@ -194,15 +195,16 @@ def restart_from_sensor_noise(
     return again if gain + schwarz_penalty(max(fewer, 0), fit.estimate.prepared) > 0 else fit
 
 
-def restart_from_sensor_drift(
+def restart_without_forces(
     assembly: Assembly, fit: LikelihoodFit, progress: Progress
 ) -> LikelihoodFit:
-    """The fit with a sensor that drifts in place of all random forces, if that is likelier.
+    """The fit with noise of a sensor that has a memory in place of all random forces, if likelier.
 
-    A slow state that is pushed at random and a sensor of it that drifts both wander. Beside either
+    A slow state that is pushed at random and a sensor of it that drifts both wander; a state that
+    relaxes under a random flow and coloured noise of its sensor look much alike. Beside either
     the misses are white, and values that were fitted beside the one do not suit the other, so that
     they are fitted with it. It has to be likelier by the odds of any other noise, and fewer sizes
-    are no merit: beside a missing effect forces leave more room for it than a drift does.
+    are no merit: beside a missing effect forces leave more room for it than a sensor does.
     """
     at = fit.estimate
     task, noise = at.prepared[0][0], at.noise
@@ -213,15 +215,30 @@ def restart_from_sensor_drift(
     still = noise.without(*CORRELATED).with_values(least)
     enough = fit.log_likelihood + float(np.log(DECISIVE_ODDS))
     best = fit
-    for term in (NoiseTerm("drift", c) for c in task.compiled.traced.channels):
+    for term, sizes in _sensor_memories(task, sensor_noise_only(fit)):
         if term in noise.terms:
             continue
-        progress(f"trying a drift of sensor {term.where} in place of random forces")
-        wandering = still.with_terms((term,), {term.size: initial_drift_size(task, term.where)})
-        again = continue_fit(assembly, fit, wandering, rough=True, least=enough)
+        what = "a drift" if term.kind == "drift" else "coloured noise"
+        progress(f"trying {what} of sensor {term.where} in place of random forces")
+        other = still.with_terms((term,), sizes)
+        again = continue_fit(assembly, fit, other, rough=True, least=enough)
         if again.log_likelihood > max(enough, best.log_likelihood) and is_white(assembly, again):
             best = again
     return best
+
+
+def _sensor_memories(
+    task: FilterInput, alone: NoiseModel
+) -> Iterator[tuple[NoiseTerm, dict[str, float]]]:
+    """Noise of each sensor that has a memory, and sizes to begin with.
+
+    ``alone`` : white noise of the sensors that makes up for all that the model misses.
+    """
+    for channel in task.compiled.traced.channels:
+        drift, coloured = NoiseTerm("drift", channel), NoiseTerm("coloured", channel)
+        yield drift, {drift.size: initial_drift_size(task, channel)}
+        size, time = alone.values[f"white.{channel}"], _RELAXED * task.series.dt
+        yield coloured, {coloured.size: size, coloured.time: time}
 
 
 def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:

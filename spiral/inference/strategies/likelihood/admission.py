@@ -57,8 +57,8 @@ from spiral.inference.likelihood.seed_fit import (
     refine_integration_steps,
     refit_on_finer_steps,
     restart_from_given_values,
-    restart_from_sensor_drift,
     restart_from_sensor_noise,
+    restart_without_forces,
     without_noise_of_steps,
 )
 from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
@@ -262,7 +262,7 @@ def finish_fit(
         return fit
     progress("polishing the fit")
     fit = drop_needless_forces(assembly, fit)
-    fit = continue_fit(assembly, restart_from_sensor_drift(assembly, fit, progress))
+    fit = continue_fit(assembly, restart_without_forces(assembly, fit, progress))
     limit = assembly.problem.settings.random_limit
     lacks = bool(assembly.problem.candidates) and largest_force(fit.estimate.noise) > limit
     return fit if lacks else refine_integration_steps(assembly, fit)  # it is no answer
