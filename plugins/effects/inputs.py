@@ -142,6 +142,10 @@ class RateLimit(InputEffect):
         (given,) = at.position
         return {"followed": p.rate * tanh((given - at.own.followed) / p.width)}
 
+    def limit_values(self, values):
+        """A lag of w / R is what it is below the limit."""
+        return {"time_constant": values["width"] / values["rate"]} if values["rate"] else {}
+
 
 class InputDelay(InputEffect):
     """An actuator that acts late by T: acting = u(t - T).

@@ -80,6 +80,13 @@ class Effect(Plugin):
         """
         return ""
 
+    def limit_values(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Values that its ``special`` cases begin with, where they are called otherwise there.
+
+        ``values`` and the answer are by parameter name.
+        """
+        return {}
+
     def contradiction(self, fitted: Mapping[str, float]) -> str:
         """Why values that a record determines make it another effect; empty for most effects.
 

@@ -68,6 +68,7 @@ _WINDOWS = 2  # window lengths of a start from windows
 _SHOWN = 0.1  # standard errors by which steps of half the length may move an estimate
 _AWAY = 100.0  # factor from the given value beyond which a fitted one has run away
 _QUIET = 1e-3  # level of a random force that does next to nothing
+_MUCH_FINER = 4  # times as many integration steps as a fit's modes want, from which it takes fewer
 _RELAXED = 4.0  # samples over which coloured noise of a sensor is correlated, to begin with
 
 
@@ -248,7 +249,9 @@ def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:
     values = state.values.copy()
     for key in keys:
         values[:, assembly.study.index(key)] = known[key]
-    return replace(state, values=values, starts=None, spreads=None) if keys else None
+    if not keys:
+        return None  # else on the integration steps of the study, which suit these values
+    return replace(state, values=values, starts=None, spreads=None, substeps=1)
 
 
 def restart_from_given_values(
@@ -300,14 +303,16 @@ def sensor_noise_only(fit: LikelihoodFit) -> NoiseModel:
 def refit_on_finer_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
     """The fit on finer integration steps, where its motion or the likelihood wants them.
 
-    Its fastest mode along the motion wants steps of some length. What is passed between samples (a
+    Its fastest mode along the motion wants steps of some length; values on the way here may have
+    wanted much shorter ones, which cost as much more time. What is passed between samples (a
     friction's width) may want shorter ones: steps are halved as long as that alone, with the same
     values, makes the records likelier. What coarse steps do wrong is otherwise taken for noise.
     """
     if not fit.estimate.finite:
         return fit
-    wanted = required_substeps(fit)
-    if wanted > fit.estimate.prepared[0][0].series.substeps:
+    wanted, steps = required_substeps(fit), fit.estimate.prepared[0][0].series.substeps
+    least = assembly.study.series[0].substeps
+    if wanted > steps or _MUCH_FINER * max(wanted, least) <= steps:
         fit = _refit_with_steps(assembly, fit, wanted)
     while (halved := _likelier_steps(assembly, fit)) is not None:
         again = _refit_with_steps(assembly, fit, halved)

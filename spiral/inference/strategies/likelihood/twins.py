@@ -47,15 +47,16 @@ def twins_at_its_values(
     assembly: Assembly, base: LikelihoodFit, model: LikelihoodFit, admitted: Variant,
     ranked: Sequence[RankedCandidate],
 ) -> list[Rival]:  # fmt: skip
-    """The offered twins of an effect of a model, each in its place and from its values.
+    """The offered twins and special cases of an effect, each in its place and from its values.
 
     ``base`` is the model without the effect, ``ranked`` the candidates that have a score there.
     """
     given, scored = _values_by_name(model, admitted), {r.variant.label: r for r in ranked}
+    alike = {*admitted.original.twins, *admitted.original.special}
     rivals: dict[str, Rival] = {}
     for variant in assembly.offered:
         label = variant.original.label
-        if label in rivals or not _is_twin(variant.original.plugin_name(), admitted):
+        if label in rivals or variant.original.plugin_name() not in alike:
             continue
         own = with_variants(assembly, [variant])
         one = scored.get(variant.label) or unscored_candidate(variant)
@@ -113,7 +114,8 @@ def _is_twin(name: str, admitted: Variant) -> bool:
 
 
 def _values_by_name(model: LikelihoodFit, admitted: Variant) -> dict[str, float]:
-    """Values of an effect's parameters, by their names alone."""
+    """Values of an effect's parameters by their names alone, and what look-alikes call them."""
     task = model.estimate.prepared[0][0]
     known = zip(task.keys, task.compiled.traced.parameters, task.values, strict=True)
-    return {p.name: float(value) for key, p, value in known if owner_of(key) == admitted.label}
+    own = {p.name: float(value) for key, p, value in known if owner_of(key) == admitted.label}
+    return {**own, **admitted.original.limit_values(own)}
