@@ -9,7 +9,7 @@ import numpy as np
 from spiral.engine.filter.observer import Observer, Reconstruction
 from spiral.engine.filter.task import FilterInput, prepare_task
 from spiral.inference.simulate import simulate, with_defaults
-from spiral.io.conformance.simulation import stable_time_step
+from spiral.io.conformance.simulation import stable_time_steps
 from spiral.types.errors import ConfigError, PluginError
 from spiral.types.model import seed_model
 from spiral.types.record import Array
@@ -28,7 +28,7 @@ def tasks(systems: Sequence[System]) -> tuple[FilterInput, ...]:
         model = with_defaults(seed_model(system))
         if any(q.start is None and k not in model.values for k, q in model.pairs):
             continue
-        time = stable_time_step(system, model) * np.arange(_SAMPLES)
+        time = stable_time_steps(system, model)[1] * np.arange(_SAMPLES)
         given = {i.name: np.ones(_SAMPLES) for i in system.inputs if i.derived_from is None}
         if not given:  # nothing drives it from rest
             continue
