@@ -90,6 +90,12 @@ def duration(seconds: float, digits: int = 2) -> str:
     return f"{seconds:.0f} s" if abs(seconds) >= 100 else f"{number(seconds, digits)} s"
 
 
+def extent(samples: int, rate: float) -> str:
+    """Length and rate of a record: ``6000 samples, 3 s, 2000 Hz``; ``... one every 60 min``."""
+    often = f"{rate:.6g} Hz" if rate >= 1 else f"one every {duration(1 / rate, 4)}"
+    return f"{samples} samples, {duration(samples / rate, 4)}, {often}"
+
+
 def probability(value: float | None) -> str:
     """A p-value: ``0.32``, ``2e-09``, ``< 1e-99``."""
     if not _is_finite_number(value):

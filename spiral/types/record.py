@@ -13,6 +13,7 @@ import numpy as np
 
 from spiral.types.clock import MINIMUM_SAMPLES, check_forward, check_time, check_uniform
 from spiral.types.errors import InputError, did_you_mean
+from spiral.types.formatting import extent
 from spiral.types.invalid import InvalidReadings, bridged, clipping, spoilt_readings
 from spiral.types.noise import estimate_noise
 from spiral.types.parameter import HELD, Input, Interpolation
@@ -76,9 +77,10 @@ class Record:
             check_uniform(self.name, time)
 
     def __repr__(self) -> str:
-        length = f"{self.samples} samples, {self.samples * self.dt:.4g} s at {1 / self.dt:.4g} Hz"
         series = f"channels {', '.join(self.channels)}; inputs {', '.join(self.inputs) or 'none'}"
-        return "\n  ".join([f"Record {self.name}: {length}", series, *self.remarks])
+        return "\n  ".join(
+            [f"Record {self.name}: {extent(self.samples, 1 / self.dt)}", series, *self.remarks]
+        )
 
     @property
     def samples(self) -> int:

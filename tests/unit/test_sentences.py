@@ -1,6 +1,6 @@
 """Verdicts point by point."""
 
-from spiral.types.formatting import duration, sentences
+from spiral.types.formatting import duration, extent, sentences
 
 
 def test_sentences_are_points_and_lists_are_listed():
@@ -39,3 +39,8 @@ def test_no_text_has_no_points():
 def test_times_are_told_in_a_unit_in_which_they_are_small():
     told = [duration(s) for s in (0.0123, 450, 5700, 23_000, 340_000)]
     assert told == ["0.012 s", "450 s", "95 min", "6.4 h", "3.9 d"]
+
+
+def test_slow_records_tell_how_often_they_are_read():
+    assert extent(6000, 2000.0) == "6000 samples, 3 s, 2000 Hz"
+    assert extent(720, 1 / 3600) == "720 samples, 30 d, one every 60 min"

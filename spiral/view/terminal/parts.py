@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spiral.io.registry import NO_FOLDER
-from spiral.types.formatting import duration, number, percent, plus_minus, sentences
+from spiral.types.formatting import extent, number, percent, plus_minus, sentences
 from spiral.types.masking import without_passwords
 from spiral.view.terminal.shell import join_command
 
@@ -106,8 +106,7 @@ def print_records(console: Console, outcome: Outcome, numbers: bool = False) -> 
     told: set[str] = set()
     descriptions = describe_records(outcome.parts["problem"])
     for shown, record in enumerate(descriptions):
-        length = record["samples"] / record["rate"]
-        words = f"{record['samples']} samples, {duration(length, 4)}, {record['rate']:.6g} Hz"
+        words = extent(record["samples"], record["rate"])
         console.print(Text(f"{record['part']:<5}{record['name']}: {words}", "dim"))
         for note in (n for n in record["notes"] if n not in told):
             console.print(Text(f"     note: {note}", style="yellow"))
