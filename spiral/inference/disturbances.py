@@ -98,10 +98,9 @@ def input_sentences(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
         names = [name for name, own in between.items() if own == way]
         several = len(names) > 1
         said.append(
-            f"with this model {join_words(names)} {'are' if several else 'is'} most likely "
-            f"{BETWEEN[way]}{',' if HELD.get(way) else ''} between "
-            f"{'their' if several else 'its'} samples (record.hold={way} declares it"
-            f"{_like_a_delay(way)})"
+            f"with this model {join_words(names)} between {'their' if several else 'its'} samples "
+            f"{'are' if several else 'is'} most likely {BETWEEN[way]} "
+            f"(record.hold={way} declares it{_like_a_delay(way)})"
         )
     return tuple(said)
 

@@ -134,7 +134,7 @@ def test_a_held_input_that_acts_two_samples_late_is_found(hold):
     run = spiral.discover(record, system)
     assert run.verdict == "nothing_missing"
     assert run.rounds[-1].comparison.between == {"u": "zero_order_2"}
-    assert "held until the next sample, two samples late, between its samples" in run.summary
+    assert "is most likely held until the next sample, two samples late" in run.summary
     assert "2.5 samples of lag or delay looks the same" in run.summary
     for name, true in (("T", 0.04), ("k", 2.0)):
         one = run.model.estimates()["system"][name]
