@@ -153,7 +153,7 @@ def test_a_hidden_state_begins_at_the_number_given(tmp_path):
 def test_a_state_begins_like_another_or_at_a_number():
     with pytest.raises(spiral.SpiralError, match="one of both"):
         spiral.system(_brake_that(like="T"))
-    with pytest.raises(spiral.SpiralError, match="a number"):
+    with pytest.raises(spiral.SpiralError, match="a number in the state's unit"):
         spiral.system(_brake_that(start="warm"))
 
 

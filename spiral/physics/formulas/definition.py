@@ -317,7 +317,10 @@ def _valid_unit(name: str, unit: Any) -> str:
 
 def _state(name: str, given: Any) -> State:
     entry = _entry_fields("states", name, given, ("unit", "like", "start"))
-    start = _require_number(name, entry.get("start", 0.0))
+    start = _float_or_none(entry.get("start", 0.0))
+    if start is None:
+        given = f"start of {name}: {entry['start']!r}"
+        raise ConfigError(given, "a number in the state's unit", f"{name}: {{unit: K, start: 293}}")
     return _build_declaration(
         State,
         name,
