@@ -90,8 +90,8 @@ class State:
     """A state of a system, or of an effect that brings its own (``per_axis`` then counts axes).
 
     ``like`` names a measured state whose values are a first guess for this hidden one; without it
-    a fit and a simulation begin at ``start``, in the state's unit. Of an effect on a sensor or an
-    input ``like`` may be ``position``: the state begins at what is there.
+    a fit and a simulation begin a system's state at ``start``, in its unit. Of an effect on a
+    sensor or an input ``like`` may be ``position``: the state begins at what is there.
     """
 
     name: str

@@ -41,6 +41,7 @@ def test_from_python_too():
         ({"e": "2*f", "f": "e + V"}, "circle"),
         ({"e": "R*i", "f": "e'"}, "rate of what let names"),
         ({"e": "R*i", "f": "b*i", "x": "i"}, "another meaning"),
+        ({"e": "R*i", "f": "b*i", "t": "i"}, "another meaning"),
         ({"e": "R*i", "f": "b*i", "2x": "i"}, "no name"),
         (["e"], "names and their formulas"),
     ],

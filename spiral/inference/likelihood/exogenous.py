@@ -78,9 +78,9 @@ def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
 
     The longest record is asked.
     """
-    task, settings = max(fit.estimate.prepared, key=lambda pair: pair[0].series.samples)
     from scipy.fft import prev_fast_len
 
+    task, settings = max(fit.estimate.prepared, key=lambda pair: pair[0].series.samples)
     size = len(task.states) + 1
     if task.series.samples * size**2 > _ROOM:
         return None
@@ -225,19 +225,15 @@ def _regress_curve(curve: _Curve, seen: Array, energy: Array) -> Array:
     return np.array(shares)
 
 
-def _blocks(count: int) -> Array:
-    """(samples,) which of the stretches that halve a record in turns each sample is in."""
-    return np.arange(count) * _BLOCKS // count
-
-
 def _halves(count: int) -> Array:
     """(samples, 2) whether each sample is in a half of the record: every other stretch."""
-    return np.column_stack([_blocks(count) % 2 == half for half in (0, 1)]).astype(float)
+    block = np.arange(count) * _BLOCKS // count
+    return np.column_stack([block % 2 == half for half in (0, 1)]).astype(float)
 
 
 def _multiply_by_halves(columns: Array, values: Array) -> Array:
     """(2, columns, ...) sums over t of column(t) value(t), on each half."""
-    edges = np.searchsorted(_blocks(len(values)), np.arange(_BLOCKS + 1))
+    edges = -(-np.arange(_BLOCKS + 1) * len(values) // _BLOCKS)  # of the stretches of _halves
     sums = [columns[a:b].T @ values[a:b] for a, b in pairwise(edges)]
     return np.array([sum(sums[half::2]) for half in (0, 1)]).reshape(2, columns.shape[1], -1)
 

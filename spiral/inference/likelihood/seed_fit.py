@@ -84,7 +84,7 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
         begun = whole_state(part, first.state)
         fit = fit_by_likelihood(assembly, begun, first.estimate.noise, rough=True)
         if fit.estimate.finite:
-            return refit_initial_states(assembly, refit_on_finer_steps(assembly, fit))
+            return refit_initial_states(assembly, refit_on_wanted_steps(assembly, fit))
     tried: list[LikelihoodFit] = []
     for begin, level in _start_states(assembly, state, progress):
         noise = first_noise(prepare_filter_tasks(assembly, begin)[0][0], level)
@@ -98,7 +98,7 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
     progress("most likely values of the model as it is")
     fit = fit_by_likelihood(assembly, best.state, rough=True)
     fit = _take_others_on(assembly, fit, [t for t in tried if t is not best])
-    return refit_initial_states(assembly, refit_on_finer_steps(assembly, fit))
+    return refit_initial_states(assembly, refit_on_wanted_steps(assembly, fit))
 
 
 def _likeliest(fits: Sequence[LikelihoodFit]) -> LikelihoodFit:
@@ -243,15 +243,17 @@ def _sensor_memories(
 
 
 def with_given_values(assembly: Assembly, state: FitState) -> FitState | None:
-    """The state with its free parameters at the given values; nothing where none was given."""
+    """The state with its free parameters at the given values; nothing where none was given.
+
+    Its integration steps are those of the study, which suit these values.
+    """
     known = assembly.problem.model.given_values
     keys = [k for k in free_parameters(assembly, state) if np.isfinite(known.get(k, np.nan))]
     values = state.values.copy()
     for key in keys:
         values[:, assembly.study.index(key)] = known[key]
-    if not keys:
-        return None  # else on the integration steps of the study, which suit these values
-    return replace(state, values=values, starts=None, spreads=None, substeps=1)
+    given = replace(state, values=values, starts=None, spreads=None, substeps=1)
+    return given if keys else None
 
 
 def restart_from_given_values(
@@ -300,8 +302,8 @@ def sensor_noise_only(fit: LikelihoodFit) -> NoiseModel:
     return first_noise(prepared[0][0], _QUIET, np.sqrt(np.mean(misses**2, axis=0)))
 
 
-def refit_on_finer_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
-    """The fit on finer integration steps, where its motion or the likelihood wants them.
+def refit_on_wanted_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
+    """The fit on integration steps as its motion and the likelihood want them.
 
     Its fastest mode along the motion wants steps of some length; values on the way here may have
     wanted much shorter ones, which cost as much more time. What is passed between samples (a
@@ -325,9 +327,9 @@ def refit_on_finer_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFi
 def without_noise_of_steps(
     assembly: Assembly, fit: LikelihoodFit, progress: Progress
 ) -> LikelihoodFit:
-    """The fit on finer steps where it wants them, without noise that made up for coarse ones."""
-    finer = refit_on_finer_steps(assembly, fit)
-    return fit if finer is fit else drop_needless_noise(assembly, finer, progress)
+    """The fit on the steps that it wants, without noise that made up for coarser ones."""
+    again = refit_on_wanted_steps(assembly, fit)
+    return fit if again is fit else drop_needless_noise(assembly, again, progress)
 
 
 def _refit_with_steps(assembly: Assembly, fit: LikelihoodFit, substeps: int) -> LikelihoodFit:

@@ -15,10 +15,11 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from math import isfinite
 from pathlib import Path
 from typing import Any, get_args
 
-from spiral.physics.formulas.let import write_out
+from spiral.physics.formulas.let import is_reserved, write_out
 from spiral.physics.formulas.observed import split_observed
 from spiral.types.errors import (
     ConfigError,
@@ -318,9 +319,11 @@ def _valid_unit(name: str, unit: Any) -> str:
 def _state(name: str, given: Any) -> State:
     entry = _entry_fields("states", name, given, ("unit", "like", "start"))
     start = _float_or_none(entry.get("start", 0.0))
-    if start is None:
-        given = f"start of {name}: {entry['start']!r}"
-        raise ConfigError(given, "a number in the state's unit", f"{name}: {{unit: K, start: 293}}")
+    if start is None or not isfinite(start):
+        raise ConfigError(
+            f"start of {name}: {entry['start']!r}", "a number in the state's unit",
+            f"{name}: {{unit: K, start: 293}}",
+        )  # fmt: skip
     return _build_declaration(
         State,
         name,
@@ -404,7 +407,7 @@ def _check_declared_names(
     named = [i.name for i in (*definition.states, *definition.inputs, *definition.parameters)]
     named += [n for n, _, _ in definition.constants] + [n for n, _ in definition.readings]
     for name in named:
-        if named.count(name) > 1 or name in ("t", "time", "pi") or name.endswith("_prime"):
+        if named.count(name) > 1 or is_reserved(name):
             what = "twice" if named.count(name) > 1 else "for a state, an input or a parameter"
             raise ConfigError(f"the name {name!r} {what}", "a name of its own", f"{name}_1")
     own = (n for n, _ in definition.readings)

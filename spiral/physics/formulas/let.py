@@ -13,6 +13,11 @@ _NAMED = ("states", "inputs", "parameters", "constants")
 _FORMULAS = ("equations", "ports", "mass")
 
 
+def is_reserved(name: str) -> bool:
+    """Whether a name means the same in every formula: the time, pi, a rate."""
+    return name in ("t", "time", "pi") or name.endswith("_prime")
+
+
 def write_out(given: Mapping[str, Any]) -> dict[str, Any]:
     """The sections of a system without ``let``: its formulas stand in place of their names.
 
@@ -27,7 +32,7 @@ def write_out(given: Mapping[str, Any]) -> dict[str, Any]:
     let = _declared(given)
     if not let:
         return sections
-    formulas = {name: _written_out(f"{name}", let, ()) for name in let}
+    formulas = {name: _written_out(name, let, ()) for name in let}
     for name in sections.keys() & set(_FORMULAS):
         sections[name] = _within(sections[name], formulas)
     observed = sections.get("observed") or ()
@@ -42,8 +47,8 @@ def _declared(given: Mapping[str, Any]) -> dict[str, str]:
         raise ConfigError(f"let: {let!r}", "names and their formulas", "let: {e: Re*(i - im)}")
     taken = {str(n) for s in _NAMED if isinstance(given.get(s), Mapping) for n in given[s]}
     for name in map(str, let):
-        if not name.isidentifier() or name in taken:
-            why = "another meaning" if name in taken else "no name"
+        if not name.isidentifier() or name in taken or is_reserved(name):
+            why = "another meaning" if name.isidentifier() else "no name"
             raise ConfigError(f"let: {name}, which has {why}", "a name of its own", f"{name}_1")
     return {str(name): str(formula) for name, formula in let.items()}
 

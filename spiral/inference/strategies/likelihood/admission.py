@@ -55,7 +55,7 @@ from spiral.inference.likelihood.seed_fit import (
     best_fit,
     is_noise_settled,
     refine_integration_steps,
-    refit_on_finer_steps,
+    refit_on_wanted_steps,
     restart_from_given_values,
     restart_from_sensor_noise,
     restart_without_forces,
@@ -321,7 +321,7 @@ def fit_with_effect(
     fit = fit_by_likelihood(own, state, rough=True)
     if not fit.estimate.finite:  # sizes of its noise may mean something else: on the same scales
         fit = fit_by_likelihood(own, state, rough=True, like=like)
-    fit = refit_initial_states(own, refit_on_finer_steps(own, fit))
+    fit = refit_initial_states(own, refit_on_wanted_steps(own, fit))
     fit, state = _release_told_values(own, fit, state)
     if not is_start_settled(own, fit):  # it may have stayed with the noise of the model as it was
         fit = max(fit, best_fit(own, state, progress), key=lambda f: f.log_likelihood)
