@@ -15,7 +15,7 @@ from spiral_plugins.effects.sensors import (
     scale_remark,
 )
 
-from spiral.math import tanh
+from spiral.math import length, tanh
 from spiral.types.effect import InputEffect, StateFlow
 from spiral.types.parameter import Parameter, State
 
@@ -145,6 +145,73 @@ class RateLimit(InputEffect):
     def limit_values(self, values):
         """A lag of w / R is what it is below the limit."""
         return {"time_constant": values["width"] / values["rate"]} if values["rate"] else {}
+
+
+class InputPlay(InputEffect):
+    """An actuator with play: acting = u - s (u - z), T z' = what of u - z lies beyond +-g.
+
+    Lash of a gear or a linkage, the stem of a sticking valve: z stays until u has crossed the gap,
+    then follows with the time T; whole at s = 1. With a share below one, part of it follows at
+    once: the loop of a magnet or a ceramic in straight lines (Krasnosel'skii and Pokrovskii,
+    Systems with Hysteresis, 1989). Without a gap it is ``actuator_lag``.
+    """
+
+    special = ("actuator_lag",)
+    states = (State("followed", "position", like="position"),)
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.05, 0.15, 0.4)),
+        WIDTH,
+        Parameter("time_constant", "s", lower=0.0, role="shape", grid=(0.1,)),
+    )
+
+    def drive(self, at, u, p):
+        """u - s (u - z)."""
+        (given,) = at.position
+        return given - p.share * (given - at.own.followed)
+
+    def rate(self, at, u, p):
+        """What lies beyond the gap, over T."""
+        (given,) = at.position
+        beyond = excess_over_gap(given - at.own.followed, p.gap, p.width)
+        return {"followed": beyond / p.time_constant}
+
+
+class InputHysteresis(InputEffect):
+    """An actuator that hangs behind by where it turned: acting = u - s (h + T h').
+
+    h' = w' - (|w'| h + r w' |h|) / L with T w' = u - w: of each move a share s is held back, until
+    the input has gone on in one direction by some L (Bouc, 1967, and Wen, 1976; with r = 0 Dahl,
+    1968): a piezo ceramic, a magnet, a diaphragm. What it holds back does not depend on how fast
+    the input moves, where this is slower than T; h + T h' is h without the delay of w to the first
+    order. r is zero unless the record tells it. With a large L it is ``input_gain``.
+    """
+
+    special = ("input_gain",)
+    states = (State("followed", "position", like="position"), State("held", "position"))
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6)),
+        Parameter("asymmetry", "", lower=-2.0, upper=2.0, role="shape", start=0.0),
+        Parameter("time_constant", "s", lower=0.0, role="shape", grid=(0.1,)),
+    )
+
+    def drive(self, at, u, p):
+        """u - s (h + T h')."""
+        (given,) = at.position
+        return given - p.share * (at.own.held + p.time_constant * self._held_rate(at, p))
+
+    def rate(self, at, u, p):
+        """w' and h'."""
+        return {"followed": self._followed_rate(at, p), "held": self._held_rate(at, p)}
+
+    def _followed_rate(self, at, p):
+        (given,) = at.position
+        return (given - at.own.followed) / p.time_constant
+
+    def _held_rate(self, at, p):
+        rate, held = self._followed_rate(at, p), at.own.held
+        return rate - (length([rate]) * held + p.asymmetry * rate * length([held])) / p.length
 
 
 class InputDelay(InputEffect):

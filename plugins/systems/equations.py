@@ -145,6 +145,14 @@ class Equations(MechanicalSystem):
         rates = _compute_formulas(self.form.flow, self._formula_values(q, v, u, p))
         return {s.name: rate for s, rate in zip(self.others, rates, strict=True)}
 
+    def capacities(self, q, v, u, p):
+        """D(q, q', z, u, p) over that at rest, of those states whose capacity changes."""
+        if not self.form.capacities:
+            return {}
+        names, texts = zip(*self.form.capacities, strict=True)
+        values = self._formula_values(q, v, u, p)
+        return dict(zip(names, _compute_formulas(texts, values), strict=True))
+
     def _formula_values(self, q, v, u, p):
         """Name -> value of all that formulas may name."""
         values = {**vars(q), **vars(p)}

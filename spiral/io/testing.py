@@ -48,6 +48,11 @@ class Check:
     try_: str = ""
     on: str = ""
 
+    def __str__(self) -> str:
+        told = "passes" if self.passed else "FAILS"
+        tried = f"; try: {self.try_}" if self.try_ and not self.passed else ""
+        return f"{self.name}: {told}, {self.seen}{tried}"
+
     def as_dict(self) -> dict[str, Any]:
         """As ``spiral check --json`` writes it."""
         return {

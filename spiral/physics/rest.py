@@ -1,7 +1,8 @@
 """Physics at rest: f, h and their slopes at zero states and inputs must be numbers.
 
 A system of which a state is never zero (a pressure under a logarithm, a concentration that divides)
-is asked at ones instead.
+is asked where its states are declared to begin instead, and then at ones. Parameters have the
+values that were given: a mass matrix of ones would be singular.
 
 One effect with 0/0 at rest (v/|v|) makes every column of a study NaN, so it is named before a fit.
 """
@@ -9,6 +10,7 @@ One effect with 0/0 at rest (v/|v|) makes every column of a study NaN, so it is 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,11 +25,30 @@ from spiral.types.system import System
 Array = np.ndarray
 
 
+@dataclass(frozen=True)
+class _Rest:
+    """A place to ask a model at: all states and inputs alike, or states where they begin."""
+
+    told: str
+    states: float
+    inputs: float
+    declared: bool
+
+
+_AT_ZERO = _Rest("at zero", 0.0, 0.0, declared=False)
+_PLACES = (
+    _AT_ZERO,
+    _Rest("where the states begin", 0.0, 0.0, declared=True),
+    _Rest("where all are one", 1.0, 1.0, declared=True),
+)
+
+
 def check_rest(
     compiled: CompiledModel,
     system: System,
     effects: Sequence[Effect],
     candidates: Sequence[Effect] = (),
+    known: Mapping[str, float] | None = None,
 ) -> None:
     """Evaluate a compiled model at rest; where it is not finite, find the effect that makes it so.
 
@@ -36,25 +57,28 @@ def check_rest(
     compiled : the model with all effects in use. effects : those, under their own labels.
     candidates : more of them, which are asked at rest alone: where the system itself is a number
         only elsewhere, the records say whether they are (``undefined_effects_along``).
+    known : values of parameters by name, in place of the system's own (``System.defaults``).
 
     Raises
     ------
     PluginError : the name of the effect, or of the system whose own rates are no numbers.
     """
-    if _is_all_finite(_evaluate_compiled_at_rest(compiled)):
+    values = {**system.defaults, **(known or {})}
+    if _is_all_finite(_evaluate_compiled_at_rest(compiled, values)):
         return
-    at, bare = 0.0, trace(system, ())
-    alone = _evaluate_traced_at_rest(bare)
-    if not np.isfinite(alone[0]).all():  # a logarithm, or a quotient, of what is never zero
-        at, alone = 1.0, _evaluate_traced_at_rest(bare, 1.0)
-    if not np.isfinite(alone[0]).all():
-        raise _not_finite_error(f"system {system.plugin_name()!r}", system.plugin_name(), at)
-    for effect in (*effects, *(() if at else candidates)):
-        beside = _evaluate_traced_at_rest(trace(system, (effect,)), at)
+    bare = trace(system, ())
+    asked = ((place, _evaluate_traced_at_rest(bare, values, place)) for place in _PLACES)
+    finite = next(((p, parts) for p, parts in asked if np.isfinite(parts[0]).all()), None)
+    if finite is None:
+        name = getattr(system, "path", "") or system.plugin_name()
+        raise _not_finite_error(f"system {system.title!r}", name, _PLACES[-1])
+    where, alone = finite
+    for effect in (*effects, *(candidates if where is _AT_ZERO else ())):
+        beside = _evaluate_traced_at_rest(trace(system, (effect,)), values, where)
         if (_is_all_finite(alone) and not _is_all_finite(beside)) or not np.isfinite(
             beside[0]
         ).all():
-            raise _not_finite_error(f"effect {effect.label!r}", effect.plugin_name(), at)
+            raise _not_finite_error(f"effect {effect.label!r}", effect.plugin_name(), where)
 
 
 def is_finite_along(compiled: CompiledModel, row: Array, states: Array, inputs: Array) -> bool:
@@ -69,8 +93,7 @@ def is_finite_along(compiled: CompiledModel, row: Array, states: Array, inputs: 
     traced = compiled.traced
     x = np.zeros((len(states), len(traced.states)))
     x[:, : states.shape[1]] = states
-    given = zip(traced.keys, row, traced.parameters, strict=False)
-    p = np.array([v or _trial_value(q) if k.startswith("system.") else v for k, v, q in given])
+    p = _trial_values(traced, dict(zip(traced.keys, row, strict=False)))
     return all(
         _is_all_finite(_evaluate_compiled(compiled, at, u, p))
         for at, u in zip(x, inputs, strict=True)
@@ -88,23 +111,20 @@ def undefined_effects_along(
     labels = []
     for effect in effects:
         traced = trace(system, (effect,))
-        p = [
-            (values.get(k) or _trial_value(q)) if k.startswith("system.") else values.get(k, 0.0)
-            for k, q in zip(traced.keys, traced.parameters, strict=True)
-        ]
         own = np.zeros((len(traced.x) - states.shape[1], len(states)))
-        given = [*states.T, *own, *inputs.T, *np.array(p, float)]
+        given = [*states.T, *own, *inputs.T, *_trial_values(traced, values)]
         if not _is_all_finite(_evaluate_traced(traced, given)):
             labels.append(effect.label)
     return tuple(labels)
 
 
-def _not_finite_error(who: str, name: str, at: float) -> PluginError:
-    beside = ", nor where all are one" if at else ""
+def _not_finite_error(who: str, name: str, where: _Rest) -> PluginError:
+    beside = "" if where is _AT_ZERO else f", nor {where.told}"
     return PluginError(
         f"{who} is no number at rest (zero states and inputs){beside}",
         "finite values and slopes there",
-        f"spiral.math.length for |q|, a smooth form such as tanh(v/w); spiral check {name}",
+        "spiral.math.length for |q|, a smooth form such as tanh(v/w), or a state that begins "
+        f"elsewhere (start); spiral check {name}",
     )
 
 
@@ -120,13 +140,26 @@ def _trial_value(parameter: Parameter) -> float:
     return 1.0 if high is None or high > 1 else (high + (low or 0.0)) / 2
 
 
-def _evaluate_compiled_at_rest(compiled: CompiledModel) -> list[Array]:
+def _values_at_rest(traced: TracedModel, known: Mapping[str, float]) -> Array:
+    """(parameters,) values at which a model is asked at rest: of effects, 1 where none is known."""
+    pairs = zip(traced.keys, traced.parameters, strict=True)
+    return np.array([known.get(k) or _trial_value(q) for k, q in pairs], float)
+
+
+def _trial_values(traced: TracedModel, known: Mapping[str, float]) -> Array:
+    """(parameters,) values along a motion: of effects, 0 where none is known."""
+    pairs = zip(traced.keys, traced.parameters, strict=True)
+    return np.array(
+        [known.get(k) or (_trial_value(q) if k.startswith("system.") else 0.0) for k, q in pairs],
+        float,
+    )
+
+
+def _evaluate_compiled_at_rest(compiled: CompiledModel, known: Mapping[str, float]) -> list[Array]:
     """f, h, then their slopes."""
     traced = compiled.traced
     x, u = np.zeros(len(traced.states)), np.zeros(len(traced.inputs))
-    return _evaluate_compiled(
-        compiled, x, u, np.array([_trial_value(q) for q in traced.parameters], float)
-    )
+    return _evaluate_compiled(compiled, x, u, _values_at_rest(traced, known))
 
 
 def _evaluate_compiled(compiled: CompiledModel, x: Array, u: Array, p: Array) -> list[Array]:
@@ -145,10 +178,15 @@ def _evaluate_compiled(compiled: CompiledModel, x: Array, u: Array, p: Array) ->
     return [np.concatenate(values), *slopes]
 
 
-def _evaluate_traced_at_rest(traced: TracedModel, at: float = 0.0) -> list[Array]:
-    """The same from expressions, without compiling; ``at`` in place of zero states and inputs."""
-    states = np.full(len(traced.x) + len(traced.u), at)
-    given = [*states, *(_trial_value(q) for q in traced.parameters)]
+def _evaluate_traced_at_rest(
+    traced: TracedModel, known: Mapping[str, float], where: _Rest
+) -> list[Array]:
+    """The same from expressions, without compiling."""
+    states = np.full(len(traced.x), where.states)
+    for name, start in traced.starts if where.declared else ():
+        states[traced.states.index(name)] = start
+    inputs = np.full(len(traced.u), where.inputs)
+    given = [*states, *inputs, *_values_at_rest(traced, known)]
     return _evaluate_traced(traced, [np.float64(v) for v in given])
 
 

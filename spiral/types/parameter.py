@@ -105,7 +105,7 @@ class State:
         if self.like and self.start:
             raise PluginError(
                 f"state {self.name!r} with like={self.like!r} and start={self.start:g}",
-                "one of both: what it begins like, or a number",
+                "one of the two: what it begins like, or a number",
                 "leave one out",
             )
 
@@ -163,6 +163,11 @@ class Input:
 
     def __post_init__(self) -> None:
         _check_name("input", self.name)
+
+    @property
+    def shape(self) -> str:
+        """How it is interpolated, in words."""
+        return BETWEEN[self.interpolation]
 
     @property
     def rate(self) -> State:

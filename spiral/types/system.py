@@ -80,10 +80,8 @@ class System(Plugin):
         for state in (*self.states, *self.readings):
             told = "measured" if state.name in self.observed else "hidden" + state.first_guess
             rows.append((state.name, state.unit or "1", told))
-        for one in self.inputs:
-            told = f"input, {one.interpolation.replace('_', ' ')} between samples"
-            rows.append((one.name, one.unit or "1", told))
-        return tuple(rows)
+        inputs = [(i.name, i.unit or "1", f"input, first tried as {i.shape}") for i in self.inputs]
+        return (*rows, *inputs)
 
     @property
     @abstractmethod
@@ -204,8 +202,7 @@ class System(Plugin):
     def sensed(self) -> tuple[Port, ...]:
         """Ports for effects on sensors: the channels, those of one unit together, one axis each.
 
-        Effects on readings act there. The port is called ``sensors`` where all have one unit, else
-        ``sensors NAME`` or ``sensors NAME-NAME``.
+        Such a port is ``sensors`` where all have one unit, else ``sensors NAME`` with all names.
         """
         units: dict[str, list[str]] = {}
         for name in self.observed:
@@ -404,6 +401,12 @@ class MechanicalSystem(System):
         """Time derivatives of the other states by name."""
         return {}
 
+    def capacities(
+        self, q: SimpleNamespace, v: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace
+    ) -> dict[str, Any]:
+        """What flows into the other states are divided by, over that at rest, where it changes."""
+        return {}
+
     @property
     def states(self) -> tuple[State, ...]:
         """Coordinates, then their rates, then the others."""
@@ -427,7 +430,9 @@ class MechanicalSystem(System):
         acceleration = solve_accelerations(self.mass(q, p), total)
         rates = {n: getattr(v, n) for n in names}
         rates.update({self.rate_name(n): a for n, a in zip(names, acceleration, strict=True)})
-        rates.update({n: f + injected.get(n, 0) for n, f in self.flows(q, v, u, p).items()})
+        capacity = self.capacities(q, v, u, p)
+        for n, f in self.flows(q, v, u, p).items():
+            rates[n] = f + (injected[n] / capacity[n] if n in capacity else injected.get(n, 0))
         return rates
 
 

@@ -12,7 +12,7 @@ import spiral
 from spiral.physics.formulas.expression import effect_from_expression
 from spiral.physics.formulas.laws import laws_of
 from spiral.physics.formulas.syntax import compute, names, read
-from spiral.physics.rest import _evaluate_traced_at_rest, _is_all_finite
+from spiral.physics.rest import _AT_ZERO, _evaluate_traced_at_rest, _is_all_finite
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
 from spiral.types.units import check_units
@@ -99,7 +99,7 @@ def test_what_is_finite_as_a_text_is_finite_at_rest():
         options = {"shape": {"w": 3.0}} if "w" in text else {}
         found = effect_from_expression("own", text, OSCILLATOR, **options)
         assert _is_all_finite(
-            _evaluate_traced_at_rest(trace(OSCILLATOR, (*OSCILLATOR.seed, found)))
+            _evaluate_traced_at_rest(trace(OSCILLATOR, (*OSCILLATOR.seed, found)), {}, _AT_ZERO)
         )
 
 

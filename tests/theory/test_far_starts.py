@@ -8,6 +8,8 @@ from scipy.signal import lsim
 from spiral_plugins.systems.equations import Equations
 
 import spiral
+from spiral.engine.filter.task import motion_scales, prepare_task
+from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
 _SHIP = """
@@ -150,8 +152,29 @@ def test_a_hidden_state_begins_at_the_number_given(tmp_path):
         assert found[name].estimate == pytest.approx(true, abs=4 * found[name].se)
 
 
+def test_a_culture_that_nobody_has_sown_tells_no_scale():
+    """Begun from zero it stays there; what is hidden moves from where it is declared to begin."""
+    system = spiral.system(
+        ["X' = (mu*(1 - Q0/maximum(Q, Ql)) - D)*X", "Q' = rho - mu*(1 - Q0/maximum(Q, Ql))*Q"],
+        states={"X": "g/L", "Q": {"unit": "1", "start": 0.06}},
+        inputs={"D": "1/s"}, observed=["X"],
+        parameters={"mu": (2e-5, "1/s"), "Q0": (0.02, "1"), "Ql": (1e-3, "1"),
+                    "rho": (2e-7, "1/s")},
+    )  # fmt: skip
+    time = 300.0 * np.arange(800)
+    record = make_record(
+        system, "culture", time, {"X": 1 + 0.1 * np.sin(2e-5 * time)},
+        {"D": np.full(800, 4e-6)},
+    )  # fmt: skip
+    task = prepare_task(seed_model(system), record)
+    assert task.scales[1] == pytest.approx(0.01, rel=0.9)
+    _, scales, rates = motion_scales(np.column_stack([np.sin(time), np.full(800, 0.1 + 0.2)]), 1.0)
+    assert scales[1] == pytest.approx(0.09)
+    assert rates[1] > 0
+
+
 def test_a_state_begins_like_another_or_at_a_number():
-    with pytest.raises(spiral.SpiralError, match="one of both"):
+    with pytest.raises(spiral.SpiralError, match="one of the two"):
         spiral.system(_brake_that(like="T"))
     with pytest.raises(spiral.SpiralError, match="a number in the state's unit"):
         spiral.system(_brake_that(start="warm"))

@@ -21,7 +21,7 @@ from experiments.studies.signals import band_limited
 from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.task import build_task, run_from_rest
 from spiral.engine.series import stage_inputs
-from spiral.inference.likelihood.interpolation import _is_interpolation_open
+from spiral.inference.likelihood.interpolation import _is_interpolation_open, held_inputs
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.physics.compile import compile_model
@@ -83,6 +83,21 @@ def held(count, seed=0, noise=0.01, push=0.0):
 def recorded(hold, count=2000, noise=0.01, push=0.0):
     time, force, x = held(count, noise=noise, push=push)
     return make_record(Oscillator(), "held", time, {"x": x}, {"force": force}, hold=hold)
+
+
+def test_a_staircase_is_taken_for_held_from_the_start():
+    """Neither a smooth signal in coarse steps nor one that its record declares."""
+    time, force, x = held(2000)
+
+    def ways(values, hold=None):
+        hold = {} if hold is None else hold
+        record = make_record(Oscillator(), "", time, {"x": x}, {"force": values}, hold=hold)
+        return dict(held_inputs(Problem(seed_model(Oscillator(), values=TRUTH), (record,), ())))
+
+    assert ways(force) == {"force": "zero_order"}
+    assert ways(force, {"force": "linear"}) == {}
+    assert ways(np.round(np.sin(0.2 * time) * 60) / 60) == {}
+    assert ways(np.random.default_rng(0).normal(size=2000)) == {}
 
 
 def test_an_input_that_is_held_is_integrated_as_one():

@@ -38,6 +38,8 @@ from spiral.types.record import Array, Record
 _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
 _LOUD = 10.0  # times the measured deviation beyond which a free run has gone astray
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
+_ROUNDING = 1e-12  # share of a mean under which a deviation is none
+_STILL = 0.3  # share of its value by which a state that stands still may be off
 
 
 @dataclass(frozen=True)
@@ -271,24 +273,33 @@ def _settled_states(
     """States (samples, n) of the free run, or of the smoothed measurements; whether it is astray.
 
     A machine that falls out of step, begun from rest, runs on by itself: its readings move
-    ``_LOUD`` times as much as measured, and its states tell no scale.
+    ``_LOUD`` times as much as measured, and its states tell no scale. One that rests for ever (a
+    culture that nobody has sown) is begun where its states are measured or declared to begin.
     """
-    run = _run_with_readings(compiled, series, grid, values)
     measured = series.y.std(axis=0)
     shown = list(compiled.traced.shown.values())
-    if run is None or np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
-        return _guess_states(compiled, series, mapping), False
-    return run[0], bool(np.any(run[1].std(axis=0) > _LOUD * measured))
+    for begin in (None, _first_state(compiled, series, mapping)):
+        run = _run_with_readings(compiled, series, grid, values, begin)
+        if run is None or np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
+            continue
+        astray = bool(np.any(run[1].std(axis=0) > _LOUD * measured))
+        if begin is None or not astray:
+            return run[0], astray
+    return _guess_states(compiled, series, mapping), False
 
 
 def motion_scales(states: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Mean and standard deviation of states, and that of their rates."""
+    """Mean and standard deviation of states, and that of their rates.
+
+    A state that does not move takes ``_STILL`` of what it is at, or what others move by where it is
+    at zero.
+    """
+    mean, scales = states.mean(axis=0), states.std(axis=0)
     rates = np.gradient(states, dt, axis=0).std(axis=0)
-    scales = states.std(axis=0)
-    typical = np.median(scales[scales > 0]) if np.any(scales > 0) else 1.0
-    scales = np.where(scales > 0, scales, typical)
-    rates = np.where(rates > 0, rates, scales / (dt * len(states)))
-    mean = states.mean(axis=0)
+    moves = scales > _ROUNDING * np.abs(mean)
+    typical = np.median(scales[moves]) if np.any(moves) else 1.0
+    scales = np.where(moves, scales, np.where(mean == 0, typical, _STILL * np.abs(mean)))
+    rates = np.where(moves & (rates > 0), rates, scales / (dt * len(states)))
     return np.where(mean == 0, REST, mean), scales, rates
 
 

@@ -169,7 +169,7 @@ def compile_with_variants(problem: Problem, variants: Sequence[Variant]) -> Comp
             effects.append(variant.companion)
             shifts.append(np.pi / 2)
     compiled = compile_model(trace(model.system, tuple(effects), tuple(shifts)))
-    check_rest(compiled, model.system, model.effects, problem.candidates)
+    check_rest(compiled, model.system, model.effects, problem.candidates, model.values)
     return compiled
 
 
@@ -182,7 +182,7 @@ def check_candidates(problem: Problem) -> None:
     """
     model, effects = problem.model, (*problem.model.effects, *problem.candidates)
     compiled = compile_model(trace(model.system, effects))
-    check_rest(compiled, model.system, model.effects, problem.candidates)
+    check_rest(compiled, model.system, model.effects, problem.candidates, model.values)
 
 
 def _undefined_candidates(assembly: Assembly, states: Sequence[Array]) -> tuple[str, ...]:

@@ -123,9 +123,15 @@ def _largest_variables(
 
 
 def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> float:
-    """The size of which a shape's grid gives shares; without a grid the parameter's start."""
+    """The size of which a shape's grid gives shares; without a grid the parameter's start.
+
+    That of a time is how long the fastest motion would take to the largest one.
+    """
     if not parameter.grid:
         return parameter.start or 1.0
+    if parameter.unit == "s":
+        farthest, fastest = (largest[f"{port.name}.{kind}"] for kind in ("position", "velocity"))
+        return farthest / fastest if fastest > 0 else np.inf
     unit = "velocity" if parameter.unit == "position/s" else parameter.unit  # as formulas have it
     for kind in ("velocity", "position"):
         if kind in unit:

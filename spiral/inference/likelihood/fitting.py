@@ -118,7 +118,8 @@ def parameter_bounds(
     for key in keys:
         one = known[key]
         low, high = (-np.inf if one.lower is None else one.lower), one.upper
-        low = shortest if one.spectrum and one.unit == "s" else low
+        timed = one.role == "shape" and one.unit == "s" and (one.spectrum or one.grid)
+        low = shortest if timed else low
         most = _FURTHEST * abs(given.get(key) or np.inf)
         bounds[key] = (max(float(low), -most), most if high is None else min(float(high), most))
     return bounds

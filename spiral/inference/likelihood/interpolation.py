@@ -25,11 +25,38 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.problem import DECISIVE_ODDS, Problem, Progress
 from spiral.types.parameter import HELD, Input, Interpolation
+from spiral.types.record import Array
 
 Ways = Mapping[str, Interpolation]
 
 _SHOWN = 1.0  # squared change of the whitened misses from which a record can tell two ways apart
 _REACH = 0.1  # share of what a way has to gain that it shows to first order
+_STAYS = 0.5  # share of an input's samples that are as the one before, from which it is held
+_JUMP = 0.1  # of an input's deviation, above which most of its steps are jumps and no rounding
+
+
+def held_inputs(problem: Problem) -> Ways:
+    """Interpolations to begin with: inputs whose records are staircases are held.
+
+    A staircase is mostly as it was at the sample before, and jumps elsewhere. A smooth curve
+    through it rings at each jump, and what that does looks like many things that a machine may
+    lack. What a record declares, and what the system holds already, stays.
+    """
+    return {
+        known.name: "zero_order"
+        for known in problem.model.system.inputs
+        if _is_interpolation_open(problem, known)
+        and not _declared_ways(problem, known)
+        and known.interpolation not in HELD
+        and all(_is_staircase(r.inputs[known.name]) for r in problem.records)
+    }
+
+
+def _is_staircase(values: Array) -> bool:
+    steps = np.abs(np.diff(values))
+    jumps = steps[steps > 0]
+    stays = len(steps) - len(jumps) >= _STAYS * len(steps)
+    return bool(len(jumps) and stays and np.median(jumps) > _JUMP * np.std(values))
 
 
 def select_input_interpolation(

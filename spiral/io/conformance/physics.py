@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spiral.engine.start import fill_declared_starts
 from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.fields import field_names
@@ -27,16 +28,19 @@ from spiral.types.system import MechanicalSystem, System, has_coordinates
 
 if TYPE_CHECKING:
     from spiral.physics.compile import CompiledModel
+    from spiral.physics.trace import TracedModel
 
 _STEP, _TOLERANCE, _EXACT = 1e-5, 1e-5, 1e-12
 _FRACTION = 0.1  # of a drawn amplitude, where a parameter varies
 _SMALL = 1e-4  # amplitudes at which a reading is linear, if it is so to leading order
 _DRAWS = 16
+_AT_REST = "at rest (inputs 0, states too unless they are declared to begin elsewhere)"
 _SPREAD = 0.02  # of a value that was given, within which others are tried
 _SIZES = (1.0, 0.1, 0.01, 1e-3)  # of states and inputs, tried in turn until values are finite
 _GUARD = "guard roots, logarithms and quotients: functions of spiral.math, where(x > 0, ..., 0)"
 _GUARD_IN_FILE = (
-    "maximum(x, small) in a quotient, root or logarithm, with small among the constants"
+    "maximum(x, small) in a quotient, root or logarithm, with small among the constants; or say "
+    "where a state begins: {unit: ..., start: ...}"
 )
 
 
@@ -264,8 +268,15 @@ def _row_names(physics: Physics) -> list[str]:
     return [*rates, *(f"reading {n!r}" for n in traced.channels)]
 
 
+def rest_states(traced: TracedModel) -> Array:
+    """(n,) states of a machine at rest: zero, but where one is declared to begin elsewhere."""
+    states = np.zeros(len(traced.x))
+    fill_declared_starts(traced, states, np.zeros(len(traced.u)))
+    return states
+
+
 def check_finite_values(physics: Physics) -> str:
-    """Values and slopes at zero states and inputs, and in motion, with amplitudes 0 and 1."""
+    """Values and slopes at rest with inputs 0, and in motion, with amplitudes 0 and 1."""
     traced = physics.compiled.traced
     x, u, p = physics.draw_point(np.random.default_rng(2))
     pairs = zip(traced.keys, traced.parameters, strict=True)
@@ -273,7 +284,7 @@ def check_finite_values(physics: Physics) -> str:
     for amplitude in (0.0, 1.0):
         given = np.where(kept, p, amplitude)
         for where, at in (
-            ("at rest (states and inputs 0)", (0 * x, 0 * u, given)),
+            (_AT_REST, (rest_states(traced), 0 * u, given)),
             ("in motion", (x, u, given)),
         ):
             parts = zip(("value", "slope by x", "slope by p"), physics.evaluate(*at), strict=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.io.conformance.physics import Physics, require_finite_rows
+from spiral.io.conformance.physics import Physics, require_finite_rows, rest_states
 from spiral.types.errors import ConfigError, PluginError
 from spiral.types.formatting import duration
 from spiral.types.system import System
@@ -61,7 +61,7 @@ def stable_time_steps(system: System, model: Model) -> tuple[float, float]:
     physics = Physics(system, model.effects)
     traced = physics.compiled.traced
     p = np.array([float(model.values.get(k, q.start or 0.0)) for k, q in model.pairs])
-    value, slopes, by_p = physics.evaluate(np.zeros(len(traced.x)), np.zeros(len(traced.u)), p)
+    value, slopes, by_p = physics.evaluate(rest_states(traced), np.zeros(len(traced.u)), p)
     require_finite_rows(physics, value, np.hstack([slopes, by_p]))
     fastest = float(np.abs(np.linalg.eigvals(slopes[: len(traced.x)])).max())
     step = 0.1 / fastest if fastest > 0 else _USUAL

@@ -2,7 +2,8 @@
 
     M(q, p) q'' = f(q, q', z, u, p)        z' = g(q, q', z, u, p)
 
-q are coordinates with their rates, z the states of first order beside them. A state with ``x''`` is
+q are coordinates with their rates, z the states of first order beside them, of which each has a
+capacity: what effects let flow into it is divided by that. A state with ``x''`` is
 a coordinate, and so is a state whose rate is another state (``x' = v``).
 """
 
@@ -17,6 +18,7 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.formulas import syntax
+from spiral.physics.formulas.capacity import flow_capacities
 from spiral.physics.formulas.definition import SystemDefinition, definition_of
 from spiral.physics.formulas.dimensions import DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.inertia import inertia_of
@@ -44,7 +46,8 @@ _PERMUTED = 6  # coordinates up to which every order of their equations is tried
 class StandardForm:
     """The form that a system takes its physics from; formulas are text.
 
-    ``rates`` are the names of the coordinates' rates, ``force_units`` the units of the rows,
+    ``rates`` are the names of the coordinates' rates, ``capacities`` those of states that have a
+    changing one, with its formula, ``force_units`` the units of the rows,
     ``readings`` what is measured that is no state.
     """
 
@@ -55,6 +58,7 @@ class StandardForm:
     mass: tuple[tuple[str, ...], ...]
     force: tuple[str, ...]
     flow: tuple[str, ...]
+    capacities: tuple[tuple[str, str], ...]
     force_units: tuple[str, ...]
     readings: tuple[tuple[State, str], ...]
 
@@ -90,9 +94,8 @@ def _arrange_equations(given: SystemDefinition, rows: Sequence[EquationRow]) -> 
     velocity = {c.name: pairs[c.name][0] if c.name in pairs else f"{c.name}_rate"
                 for c in coordinates}  # fmt: skip
     others = [s for s in given.states if s.name not in {*velocity, *velocity.values()}]
-    unknown = [symbol(c.name + SECOND if c.name in second else velocity[c.name] + FIRST)
-               for c in coordinates]  # fmt: skip
-    unknown += [symbol(s.name + FIRST) for s in others]
+    unknown = [*_accelerations(coordinates, second, velocity),
+               *(symbol(s.name + FIRST) for s in others)]  # fmt: skip
     left = [r for r in rows if r.place not in taken]
     kinematic = {symbol(c + FIRST): symbol(v) for c, v in velocity.items()}
     values = [r.value.subs(kinematic) for r in left]
@@ -104,22 +107,34 @@ def _arrange_equations(given: SystemDefinition, rows: Sequence[EquationRow]) -> 
                 restore_primes(str(s)) for s in (*(symbol(c + FIRST) for c in pairs), *unknown)
             ),
         )
-    count = len(coordinates)
-    order, signs, matrix = _match_equations(values, unknown, [r.place for r in left], count)
+    count, places = len(coordinates), [r.place for r in left]
+    order, signs, matrix = _match_equations(values, unknown, places, count)
     units = check_row_units(given, rows, velocity)
-    _check_separate_rates(matrix, count, [left[i].place for i in order])
+    _check_separate_rates(matrix, count, [places[i] for i in order])
     known = dict.fromkeys(unknown, 0)
-    rest = [-sign * values[i].subs(known) for i, sign in zip(order, signs, strict=True)]
+    rest = [-s * values[i].subs(known) for i, s in zip(order, signs, strict=True)]
     inertia, force, force_units = inertia_of(
         given, matrix[:count, :count], rest[:count], coordinates, units
     )
-    flow = matrix[count:, count:].LUsolve(sp.Matrix(rest[count:])) if others else []
+    before = matrix[count:, count:]
+    flow = list(before.LUsolve(sp.Matrix(rest[count:]))) if others else []
+    capacities = flow_capacities(given, others, before, flow, tuple(velocity.values()))
     return StandardForm(
         given, tuple(coordinates), tuple(velocity.values()), tuple(others),
         tuple(tuple(formula_text(inertia[i, j]) for j in range(count)) for i in range(count)),
-        tuple(map(formula_text, force)), tuple(map(formula_text, flow)), force_units,
+        tuple(map(formula_text, force)), tuple(map(formula_text, flow)), capacities, force_units,
         readings_of(given, velocity),
     )  # fmt: skip
+
+
+def _accelerations(
+    coordinates: Iterable[State], second: set[str], velocity: Mapping[str, str]
+) -> list[sp.Symbol]:
+    """What stands for each: x'' or the rate of the state that is its rate."""
+    return [
+        symbol(c.name + SECOND if c.name in second else velocity[c.name] + FIRST)
+        for c in coordinates
+    ]
 
 
 def _has_symbol(row: EquationRow, name: str) -> bool:

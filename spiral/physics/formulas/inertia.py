@@ -13,7 +13,7 @@ from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import SystemDefinition
 from spiral.physics.formulas.dimensions import Dimension, DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.rows import TIME, formula_expression, is_negative, size_of, symbol
-from spiral.physics.formulas.symbolic import formula_text
+from spiral.physics.formulas.symbolic import divisors, formula_text
 from spiral.types.errors import ConfigError
 from spiral.types.parameter import State
 from spiral.types.rates import per_second
@@ -72,7 +72,7 @@ def _check_uncoupled(
     states = {symbol(s.name) for s in given.states}
     seen: dict[Any, int] = {}
     for i in solved:
-        for divisor in _divisors(rest[i]):
+        for divisor in divisors(rest[i]):
             if divisor.free_symbols & states and seen.setdefault(divisor, i) != i:
                 names = [c.name for c in coordinates]
                 raise ConfigError(
@@ -81,10 +81,6 @@ def _check_uncoupled(
                     "the mass matrix, so that a force at a port acts on both",
                     f"mass=[[...], [...]] with its rows as text, in the order {', '.join(names)}",
                 )
-
-
-def _divisors(value: Any) -> list[Any]:
-    return list(sp.Mul.make_args(sp.fraction(sp.together(value))[1]))
 
 
 def _own_inertia(
@@ -99,7 +95,7 @@ def _own_inertia(
     mechanical = dimension(coordinate.unit) in (dimension("m"), dimension(""))
     per = dimension(per_second(coordinate.unit, 2))
     states = {symbol(s.name) for s in given.states}
-    named = [d for d in _divisors(acceleration) if d.free_symbols and not d.free_symbols & states]
+    named = [d for d in divisors(acceleration) if d.free_symbols and not d.free_symbols & states]
     divisor = sp.Mul(*named)
     divisor_dimension = _dimension_of(divisor, units)
     if mechanical and divisor_dimension is not None and divisor_dimension.times(per) == due:

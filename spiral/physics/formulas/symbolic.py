@@ -174,6 +174,11 @@ _DECIDE = "numpy.where(x > g, a, b) or spiral.math.where in place of if; numpy.m
 # --- as text -------------------------------------------------------------------------------------
 
 
+def divisors(value: Any) -> list[Any]:
+    """The factors of what an expression is divided by."""
+    return list(sp.Mul.make_args(sp.fraction(sp.together(value))[1]))
+
+
 def formula_text(expression: Any) -> str:
     """An expression as a formula (``spiral.physics.formulas.syntax``)."""
     return _Formula().doprint(expression)

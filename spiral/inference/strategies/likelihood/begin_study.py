@@ -20,7 +20,11 @@ from spiral.inference.likelihood.fitting import (
     is_random_force_small,
     predicted_states,
 )
-from spiral.inference.likelihood.interpolation import select_input_interpolation
+from spiral.inference.likelihood.interpolation import (
+    held_inputs,
+    restore_declared_interpolation,
+    select_input_interpolation,
+)
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
 from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_other_shapes
@@ -86,9 +90,14 @@ def _fit_seed(
     problem = replace(problem, settings=settings)
     check_candidates(problem)
     bare = compile_assembly(problem, (), 1)
-    state = replace(initial_fit_state(bare, problem.model.labels), corrected=False, held=held)
+    state = replace(
+        initial_fit_state(bare, problem.model.labels),
+        corrected=False, held=held, between=held_inputs(problem),
+    )  # fmt: skip
     bare = refine_substeps(bare, state)
     fit = best_fit(bare, state, progress)
+    if state.between and fit.estimate.finite:
+        fit = restore_declared_interpolation(bare, fit, progress)
     for effect in problem.model.effects:
         keys = tuple(k for k in problem.scaled if owner_of(k) == effect.label)
         fit = refit_from_other_shapes(bare, fit, effect, keys)

@@ -1,0 +1,57 @@
+"""Models at rest: asked at the values that were given, and where their states begin."""
+
+import spiral
+from spiral.io.testing import check_system, failed
+from spiral.physics.compile import compile_model
+from spiral.physics.rest import check_rest
+from spiral.physics.trace import trace
+
+
+def _require_finite_rest(system):
+    check_rest(compile_model(trace(system, ())), system, ())
+
+
+def test_a_coupled_mass_matrix_is_asked_at_its_own_values():
+    """I at - a^2 is no zero, though it is where all are one."""
+
+    def roll(t, x, u, p):
+        ship, tank = u.K - p.C * x.f - p.c * x.s, -p.c * (x.s + x.f)
+        det = p.I * p.at - p.a * p.a
+        return [x.df, x.ds, (p.at * ship - p.a * tank) / det, (p.I * tank - p.a * ship) / det]
+
+    coupled = spiral.system(
+        roll,
+        states={"f": "rad", "s": "rad", "df": "rad/s", "ds": "rad/s"},
+        inputs={"K": "N*m"},
+        observed=["f"],
+        parameters={
+            "I": (25.0, "kg*m**2/rad"),
+            "at": (3.0, "kg*m**2/rad"),
+            "a": (1.2, "kg*m**2/rad"),
+            "C": (12.0, "N*m/rad"),
+            "c": (1.6, "N*m/rad"),
+        },
+        free=["I", "at", "a"],
+    )
+    _require_finite_rest(coupled)
+    assert not failed(check_system(coupled))
+
+
+def _chemostat(**biomass):
+    return spiral.system(
+        ["X' = mu*X - D*X", "F' = f/X - D*F"],
+        states={"X": {"unit": "g/L"} | biomass, "F": "1"},
+        inputs={"D": "1/s"},
+        parameters={"mu": (0.3, "1/s"), "f": (0.1, "g/L/s")},
+        observed=["X"],
+    )
+
+
+def test_a_state_that_begins_elsewhere_is_asked_there():
+    began = _chemostat(start=0.5)
+    _require_finite_rest(began)
+    assert not failed(check_system(began))
+    one, *_ = failed(check_system(_chemostat()))
+    assert one.name == "finite at rest"
+    assert "start" in one.try_
+    assert "FAILS" in str(one)
