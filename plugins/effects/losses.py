@@ -193,6 +193,29 @@ class DryLoss(StateFlow):
         return [-p.level * tanh(at.position[0] / p.width)]
 
 
+class SlewLimit(StateFlow):
+    """A state that moves no faster than R: x' = f - s f (1 - 1 / (1 + (f / R)^8)^(1/8)).
+
+    f is the rate that the model gives it by itself. A servo valve, the pitch of a blade, a rudder,
+    an amplifier at its slew rate, a burner that may not ramp faster; whole at s = 1: within 1 % f
+    up to 0.73 R, R from 1.4 R on. Of an input that the model passes on without a state it is
+    ``rate_limit``.
+    """
+
+    rated = True
+    whole = {"share": 1.0}
+    parameters = (
+        Parameter("share", "", lower=0.0),
+        Parameter("rate", "velocity", lower=0.0, role="shape", grid=(0.15, 0.4, 0.7)),
+    )
+
+    def flow(self, at, u, p):
+        """-s f (1 - (1 + (f / R)^8)^(-1/8))."""
+        (own,) = at.velocity
+        over = (own / p.rate) ** 8
+        return [-p.share * own * (1 - 1 / sqrt(sqrt(sqrt(1 + over))))]
+
+
 class RadiationLoss(StateFlow):
     """Heat radiated to surroundings at 293.15 K: x' = ... - r ((z + x)^4 - T^4), T = 293.15 K.
 

@@ -79,7 +79,7 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
     After a check that the others rest on (it fits, it traces) has failed, no more are run.
     """
     still = isinstance(effect, SensorEffect) and not has_coordinates(system)
-    driven = isinstance(effect, InputEffect | ParameterEffect)
+    driven = isinstance(effect, InputEffect | ParameterEffect) or getattr(effect, "rated", False)
     beside = system.seed if still or driven else ()  # flows that a reading or an input may show
     whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
     return _run_checks(

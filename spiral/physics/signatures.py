@@ -282,7 +282,9 @@ def _injected_values(
         injected[:, pushed] = _apply_matrix(jacobian, forces)
         return injected
     if isinstance(effect, StateFlow):
-        at = At(tuple(_flow_position(along, effect, port).T), (), own)
+        places = [_state_index(system, name) for name in port.axes if effect.rated]
+        velocity = tuple(along.rates[:, place] for place in places)
+        at = At(tuple(_flow_position(along, effect, port).T), velocity, own)
         into = call_equation(effect, "flow", effect.flow, at, u, p)
         injected[:, [names.index(name) for name in port.axes]] = _stack_columns(into, count)
         return injected
@@ -390,8 +392,11 @@ def _injection_gain_along(along: SystemMotion) -> Array:
     gain = np.zeros((count, len(states), len(system.injections)))
     pushed = [states.index(system.rate_name(n)) for n in names]
     gain[:, pushed, : len(names)] = inverse
+    changing, capacities = _capacities(system)
+    values = capacities(*along.states.T, *along.inputs.T, *along.parameters)
     for j, other in enumerate(system.injections[len(names) :], len(names)):
-        gain[:, states.index(other.name), j] = 1.0
+        over = values[changing.index(other.name)] if other.name in changing else 1.0
+        gain[:, states.index(other.name), j] = 1.0 / over
     return gain
 
 
@@ -410,6 +415,17 @@ def _mass_matrix(system: MechanicalSystem) -> Function:
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
     mass = system.mass(system.split(x)[0], _parameter_symbols(traced))
     return sp.lambdify([*traced.x, *traced.p], mass, "numpy")
+
+
+@kept(32)
+def _capacities(system: MechanicalSystem) -> tuple[list[str], Function]:
+    """Names of ``MechanicalSystem.capacities``, and their values by (x, u, p)."""
+    traced = trace(system, ())
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
+    named = system.capacities(*system.split(x), u, _parameter_symbols(traced))
+    values = sp.lambdify([*traced.x, *traced.u, *traced.p], list(named.values()), "numpy")
+    return list(named), values
 
 
 @kept(128)

@@ -163,6 +163,7 @@ def trace(
     p, placed = _place_effects(system, effects, x, inputs, states, symbols)
     u, placed = _apply_actuators(placed, inputs)
     seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
+    placed = _with_rates_of_states(system, placed, seen, x, u, p)
     injected = _sum_injections(system, placed, seen, x)
     rates = _system_rates(system, x, u, p, injected)
     shown, read = own_readings(system, x, rates, u, p)
@@ -332,6 +333,25 @@ def _with_sensor_motion(
     velocity = tuple(_total_derivative(value, second) for value in position)
     acceleration = tuple(second.get(v, sp.Integer(0)) for v in velocity)
     return replace(item, at=At(position, velocity, item.at.own, acceleration))
+
+
+def _with_rates_of_states(
+    system: System, placed: list[_PlacedEffect], seen: list[SimpleNamespace], x: SimpleNamespace,
+    u: SimpleNamespace, p: SimpleNamespace,
+) -> list[_PlacedEffect]:  # fmt: skip
+    """Flows that are ``rated`` see the rates that system and seed give their states."""
+    flows = [i for i in placed if isinstance(i.effect, StateFlow) and i.effect.rated]
+    if not flows:
+        return placed
+    own = [(i, v) for i, v in zip(placed, seen, strict=True) if i.effect in system.seed]
+    pushed = _sum_injections(system, [i for i, _ in own], [v for _, v in own], x)
+    rates = _system_rates(system, x, u, p, pushed)
+
+    def with_rates(item: _PlacedEffect) -> _PlacedEffect:
+        velocity = tuple(sp.sympify(rates[name]) for name in item.port.axes)
+        return replace(item, at=replace(item.at, velocity=velocity))
+
+    return [with_rates(i) if i in flows else i for i in placed]
 
 
 def _total_derivative(value: Any, rates: dict[sp.Symbol, sp.Expr]) -> Any:

@@ -151,9 +151,12 @@ class StateFlow(Effect):
     measured, the drag of what flows into a tank. One whose ``driver`` is an ``"input"`` (or a
     ``"state"`` of another unit) acts where the system gives that no path: its port is what it acts
     on, a coordinate too, and its driver, ``NAME-INPUT``; ``position`` is the driver and its unit.
+    One that is ``rated`` sees as ``at.velocity`` the rates that the system and its seed give the
+    states of its port.
     """
 
     axes: ClassVar[int | None] = 1
+    rated: ClassVar[bool] = False
     units: ClassVar[tuple[str, ...]] = ()
     differences: ClassVar[bool] = False
     driver: ClassVar[Literal["", "input", "state"]] = ""

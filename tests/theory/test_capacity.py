@@ -34,6 +34,7 @@ def test_a_chamber_that_a_piston_widens_has_its_volume(equation):
     "p' = RT*mdot/V - p*A*x'/V",  # no change
     "p' = RT*mdot/V - p*A*x'/(V + A*x)",  # not of all terms
     "p' = -p*A*x'/(V + A*x)",  # one law, not several flows
+    "p' = (RT*mdot - p*A*x'/(1 + A*x/V))/V",  # within one term
 ])  # fmt: skip
 def test_what_only_one_term_is_divided_by_is_no_capacity(equation):
     assert capacities(equation) == {}

@@ -75,6 +75,9 @@ def largest_port_motion(
         unseen = any(traced.x[i] in hidden for i in made_of)
         visited = inferred if unseen else measured
         largest[f"{port.name}.position"] = _largest_level(system, port, records, visited)
+        if not port.against:
+            paths = expected if unseen and expected else along
+            largest[f"{port.name}.velocity"] = _fastest_level(port, traced, records, paths)
     unseen = np.array([symbol in hidden for symbol in traced.x])
     reached = _largest_variables(system, records, np.where(unseen, inferred, measured))
     varied = {f"{p.name}.position": reached.get(p.against, 0.0) for p in system.varied}
@@ -94,6 +97,18 @@ def _largest_level(system: System, port: Port, records: Sequence[Record], states
         outside = np.concatenate([r.inputs[port.against] for r in records])
         levels = np.stack([levels - outside.min(), levels - outside.max()])
     return float(np.abs(levels).max())
+
+
+def _fastest_level(
+    port: Port, traced: TracedModel, records: Sequence[Record], paths: Sequence[Array]
+) -> float:
+    """Largest |rate| of the states of a port for flows along each record's states (samples, n)."""
+    places = [traced.states.index(name) for name in port.axes]
+    fastest = (
+        np.abs(np.gradient(path[:, places], record.dt, axis=0)).max()
+        for path, record in zip(paths, records, strict=True)
+    )
+    return float(max(fastest))
 
 
 def _largest_signals(system: System, records: Sequence[Record]) -> dict[str, float]:

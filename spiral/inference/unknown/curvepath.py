@@ -163,7 +163,8 @@ class StatePath:
             return effect.factor(at, SimpleNamespace(), p) - 1.0
         if isinstance(effect, StateFlow):
             levels = (self.at, *[still] * (len(system.place(effect).axes) - 1))
-            return effect.flow(At(levels, (), SimpleNamespace()), SimpleNamespace(), p)[0]
+            at = At(levels, (still,) * len(levels), SimpleNamespace())
+            return effect.flow(at, SimpleNamespace(), p)[0]
         if not (isinstance(effect, ForceEffect) and isinstance(self.learned, LearnedForce)):
             return 0.0
         axes = system.place(self.learned).axes

@@ -99,9 +99,16 @@ class Physics:
 
     def amplitudes(self, effect: Effect) -> Array:
         """Which parameters are amplitudes of the effect."""
+        return self._of_role(effect, "amplitude")
+
+    def shapes(self, effect: Effect) -> Array:
+        """Which parameters are shapes of the effect."""
+        return self._of_role(effect, "shape")
+
+    def _of_role(self, effect: Effect, role: str) -> Array:
         traced = self.compiled.traced
         pairs = zip(traced.keys, traced.parameters, strict=True)
-        own = [k.startswith(f"{effect.label}.") and q.role == "amplitude" for k, q in pairs]
+        own = [k.startswith(f"{effect.label}.") and q.role == role for k, q in pairs]
         return np.array(own, dtype=bool)
 
 
@@ -304,21 +311,26 @@ def check_linearity(effect: Effect, physics: Physics) -> str:
     """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
 
     A sensor's reading, and what acts of an input, are asked at small amplitudes: they may have
-    terms beyond the leading order, small against the largest effect on the same value.
+    terms beyond the leading order, small against the largest effect on the same value. Shapes are
+    smaller where the drawn motion does not reach them (a limit).
     """
-    rng = np.random.default_rng(3)
     own = physics.amplitudes(effect)
     bent = isinstance(effect, SensorEffect | InputEffect | ParameterEffect)
     size, share = (_SMALL, np.sqrt(_SMALL)) if bent else (1.0, _EXACT)
-    drawn = []
-    for _ in range(_DRAWS):
-        x, u, p = physics.draw_point(rng)
-        drawn.append([
-            physics.evaluate(x, u, np.where(own, scale * p, p))[0]
-            for scale in (0.0, size, 2 * size)
-        ])  # fmt: skip
-    none, one, two = np.moveaxis(np.array(drawn), 1, 0)  # each (draws, values)
-    if not np.any(one != none):
+    shapes = physics.shapes(effect)
+    for shrunk in _SIZES:
+        rng, drawn = np.random.default_rng(3), []
+        for _ in range(_DRAWS):
+            x, u, p = physics.draw_point(rng)
+            p = np.where(shapes, shrunk * p, p)
+            drawn.append([
+                physics.evaluate(x, u, np.where(own, scale * p, p))[0]
+                for scale in (0.0, size, 2 * size)
+            ])  # fmt: skip
+        none, one, two = np.moveaxis(np.array(drawn), 1, 0)  # each (draws, values)
+        if np.any(one != none):
+            break
+    else:
         raise PluginError("the amplitudes change nothing", "an effect that acts")
     error, acted = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none))
     if bent:

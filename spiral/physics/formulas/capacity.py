@@ -55,7 +55,8 @@ def _shared_divisor(flow: Any, moving: set[Any], own: Any) -> Any:
     A product of such quantities over a divisor (S X / (K + S)) is one law of that form, and not
     several flows into one capacity.
     """
-    terms = [set(divisors(term)) for term in sp.Add.make_args(flow)]
+    apart = sp.Add.make_args(sp.expand_mul(flow, deep=False))
+    terms = [set(divisors(term)) for term in apart]
     shared = [d for d in set.intersection(*terms)
               if d.free_symbols & moving and own not in d.free_symbols]  # fmt: skip
     if not shared:
