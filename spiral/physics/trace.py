@@ -178,9 +178,7 @@ def trace(
         inputs=tuple(inputs),
         keys=tuple(symbols),
         parameters=tuple(q for _, q in pairs),
-        x=tuple(states.values()),
-        u=tuple(inputs.values()),
-        p=tuple(symbols.values()),
+        x=tuple(states.values()), u=tuple(inputs.values()), p=tuple(symbols.values()),
         rate=tuple(sp.sympify(rates[n]) for n in names),
         output=tuple(output),
         acceleration=acceleration,
@@ -189,7 +187,7 @@ def trace(
         starts=tuple((s.name, s.start) for s in system.states if s.start),
         rates=_rate_names(system),
         reading_states=read,
-    )
+    )  # fmt: skip
 
 
 def _system_rates(

@@ -82,7 +82,7 @@ def test_of_a_file_only_functions_of_files_are_advised():
     found = checks_of(ICE)
     told = found["finite at rest"]
     assert not told.passed
-    assert "rate of 'h' at rest (states and inputs 0)" in told.seen
+    assert "rate of 'h' at rest (inputs 0, states" in told.seen
     assert "maximum(x, small)" in told.try_
     assert "spiral.math" not in " ".join(c.try_ for c in found.values())
     assert "simulates" not in found

@@ -273,19 +273,21 @@ def _settled_states(
     """States (samples, n) of the free run, or of the smoothed measurements; whether it is astray.
 
     A machine that falls out of step, begun from rest, runs on by itself: its readings move
-    ``_LOUD`` times as much as measured, and its states tell no scale. One that rests for ever (a
-    culture that nobody has sown) is begun where its states are measured or declared to begin.
+    ``_LOUD`` times as much as measured, and its states tell no scale. Of one that rests for ever (a
+    culture that nobody has sown) hidden states move as from where they are declared to begin.
     """
-    measured = series.y.std(axis=0)
+    run, measured = _run_with_readings(compiled, series, grid, values), series.y.std(axis=0)
     shown = list(compiled.traced.shown.values())
-    for begin in (None, _first_state(compiled, series, mapping)):
+    if run is not None and not np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
+        return run[0], bool(np.any(run[1].std(axis=0) > _LOUD * measured))
+    states = _guess_states(compiled, series, mapping)
+    if compiled.traced.starts:
+        begin = _first_state(compiled, series, mapping)
         run = _run_with_readings(compiled, series, grid, values, begin)
-        if run is None or np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
-            continue
-        astray = bool(np.any(run[1].std(axis=0) > _LOUD * measured))
-        if begin is None or not astray:
-            return run[0], astray
-    return _guess_states(compiled, series, mapping), False
+        still = states.std(axis=0) <= _ROUNDING * np.abs(states.mean(axis=0))
+        if run is not None and not np.any(run[1].std(axis=0) > _LOUD * measured):
+            states[:, still] = run[0][:, still]
+    return states, False
 
 
 def motion_scales(states: Array, dt: float) -> tuple[Array, Array, Array]:

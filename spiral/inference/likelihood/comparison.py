@@ -39,6 +39,7 @@ from spiral.inference.likelihood.departures import (
     describe_departures,
     far_value_sentences,
     reversed_sign_sentences,
+    several_causes_sentences,
 )
 from spiral.inference.likelihood.exogenous import followed_force_sentences
 from spiral.inference.likelihood.fitting import (
@@ -175,6 +176,7 @@ def _note_fields(
         "contradictions": (
             *time_scale_sentences(fit.estimate.prepared[0][0], given),
             *reversed_sign_sentences(model, given),
+            *several_causes_sentences(model, problem.model.labels),
             *(far_value_sentences(free.estimate, given) if free is not fit else ()),
             *free_run_sentences(fit, free),
             *told,

@@ -1,0 +1,35 @@
+"""Parameters that follow different variables are no one cause."""
+
+from spiral_plugins.effects.varying import InverseChange, LinearChange, OtherValue
+
+import spiral
+from spiral.inference.likelihood.departures import several_causes_sentences
+from spiral.types.model import seed_model
+
+SYSTEM = spiral.system(
+    ["m*x'' + c*x' + k*x = F", "C*T' = P - h*T"],
+    states={"x": "m", "T": "K"}, inputs={"F": "N", "P": "W"}, observed=["x", "T"],
+    parameters={"m": (1.0, "kg"), "c": (2.0, "N*s/m"), "k": (400.0, "N/m"),
+                "C": (50.0, "J/K"), "h": (1.0, "W/K")},
+)  # fmt: skip
+WARM = (LinearChange(port="k-T"), InverseChange(port="c-T"))
+
+
+def sentences(*effects, given=()):
+    return several_causes_sentences(seed_model(SYSTEM, effects), given)
+
+
+def test_changes_that_follow_different_variables_are_told():
+    (said,) = sentences(LinearChange(port="k-T"), InverseChange(port="c-F"))
+    assert said.startswith("k follows T and c follows F")
+
+
+def test_one_cause_may_change_several_parameters():
+    assert sentences(*WARM) == ()
+    assert sentences(*WARM, OtherValue(port="m")) == ()
+
+
+def test_what_the_model_had_from_the_start_is_not_doubted():
+    found = (*WARM, LinearChange(port="h-F"))
+    assert len(sentences(*found)) == 1
+    assert sentences(*found, given=("linear_change@h-F",)) == ()
