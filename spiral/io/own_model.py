@@ -69,6 +69,7 @@ def system(
     *,
     free: Sequence[str] = (),
     let: Mapping[str, str] | None = None,
+    constants: Mapping[str, Quantity] | None = None,
     ports: Mapping[str, str | Sequence[str]] | None = None,
     mass: Mapping[str, Any] | Sequence[Sequence[Any]] | None = None,
     title: str = "",
@@ -105,6 +106,7 @@ def system(
     observed : states that are measured; the others are hidden.
     free : parameters with a value that the fit moves all the same.
     let : name -> formula, of equations: it stands for that formula wherever it is written.
+    constants : name -> ``"9.81 m/s^2"``, of equations: numbers with a unit.
     ports : name -> position where effects act, as a formula of the states (``"z - x"``), or one for
         each axis. Every other coordinate has a port of its own name.
     mass : coordinate -> inertia (``{"x": "m"}``), or rows of the mass matrix, where a force on one
@@ -122,7 +124,7 @@ def system(
     given = {
         "title": title or None, "states": states or {}, "inputs": inputs, "parameters": parameters,
         "observed": observed, "free": list(free) or None, "ports": ports, "mass": mass,
-        "let": let,
+        "let": let, "constants": constants,
     }  # fmt: skip
     given = {k: v for k, v in given.items() if v is not None}
     if callable(source):
@@ -180,6 +182,12 @@ def _system_from_function(rhs: Callable[..., Any], given: Mapping[str, Any]) -> 
     """
     from spiral.physics.formulas.function import CannotTraceError, definition_from, dump_sections
 
+    if constants := given.get("constants"):
+        raise ConfigError(
+            f"constants {', '.join(constants)}, beside a function",
+            "numbers in the function itself (9.81), whose units follow from those of all else",
+            "a parameter with a value, which is known and stays: (9.81, 'm/s^2')",
+        )
     registry = load_registry(NO_FOLDER)
     try:
         return registry.make(

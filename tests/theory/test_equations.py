@@ -225,6 +225,18 @@ def test_equations_are_told_in_python_as_in_a_file(tmp_path):
         spiral.system({"equations": equations, **rest}, states={"x": "m"})
 
 
+def test_constants_are_told_in_python_and_not_beside_a_function():
+    pendulum = spiral.system(
+        ["x'' = -g*sin(x)/l + u"], states={"x": "rad"}, inputs={"u": "rad/s^2"}, observed=["x"],
+        parameters={"l": (1.0, "m")}, constants={"g": "9.81 m/s^2"},
+    )  # fmt: skip
+    assert "g: 9.81 m/s^2" in pendulum.text
+    with pytest.raises(spiral.SpiralError, match="beside a function"):
+        spiral.system(
+            lambda t, x, u, p: [-x.a], {"a": "m"}, observed=["a"], constants={"g": "9.81 m/s^2"}
+        )
+
+
 @pytest.mark.parametrize("reading", ["x", "level = log(x/s)"])
 def test_a_state_that_is_never_zero_may_divide_and_stand_under_a_logarithm(reading):
     """x' = a (u s / x - x): at zero it is no number, and a hidden state begins at zero."""
