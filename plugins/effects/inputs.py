@@ -157,6 +157,7 @@ class InputPlay(InputEffect):
     """
 
     special = ("actuator_lag",)
+    whole = {"share": 1.0}
     states = (State("followed", "position", like="position"),)
     parameters = (
         Parameter("share", "", lower=0.0),

@@ -102,3 +102,34 @@ def test_a_ceramic_that_hangs_behind_its_voltage_is_named():
 
 def test_a_ceramic_that_holds_nothing_back_lacks_nothing():
     assert spiral.discover(*stage(1, 0.0), candidates=OFFERED).missing == ()
+
+
+def valve(seed, gap):
+    """A level under a valve whose stem has lash, by the play operator and exact steps."""
+    rng, count, dt = np.random.default_rng(seed), 4000, 0.05
+    asked = band_limited(rng, 0.3, (0.05, 1.0), dt * count)(dt * np.arange(count))
+    stem, level, z, x = [], [], 0.0, 0.0
+    fine = np.interp(np.arange(20 * count) / 20, np.arange(count), asked)
+    for k, u in enumerate(fine):
+        z = min(max(z, u - gap), u + gap)
+        if k % 20 == 0:
+            stem.append(z)
+            level.append(x)
+        x += dt / 20 * (1.2 * z - x) / 0.8
+    level = np.array(level)
+    level = level + 0.01 * level.std() * rng.normal(size=count)
+    system = spiral.system(
+        ["T*x' = k*u - x"], states={"x": "m"}, inputs={"u": "1"}, observed=["x"],
+        parameters={"T": (0.9, "s"), "k": (1.0, "m")}, free=["T", "k"],
+    )  # fmt: skip
+    return make_record(system, "valve", dt * np.arange(count), {"x": level}, {"u": asked}), system
+
+
+def test_the_lash_of_a_valve_is_named_and_measured():
+    offered = [*OFFERED[:-1], "input_dead_zone", "linear_loss", "rate_limit"]
+    run = spiral.discover(*valve(0, 0.08), candidates=offered)
+    assert run.missing == ("input_play",)
+    found = run.model.estimates()["input_play"]
+    assert found["share"].estimate == pytest.approx(1.0, abs=0.05)
+    assert found["gap"].estimate == pytest.approx(0.08, rel=0.05)
+    assert spiral.discover(*valve(1, 0.0), candidates=offered).missing == ()
