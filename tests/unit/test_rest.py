@@ -55,3 +55,17 @@ def test_a_state_that_begins_elsewhere_is_asked_there():
     assert one.name == "finite at rest"
     assert "start" in one.try_
     assert "FAILS" in str(one)
+
+
+def test_a_reaction_is_asked_at_its_temperature():
+    """Arrhenius: 1 / T of a temperature that is measured and declared to begin at 340 K."""
+    reactor = spiral.system(
+        {"equations": ["C' = D*(C0 - C) - rate", "T' = D*(T0 - T) + h*rate"],
+         "let": {"rate": "k*exp(-E*(1/T - 1/T0))*C"}},
+        states={"C": {"unit": "mol/L", "start": 0.9}, "T": {"unit": "K", "start": 340}},
+        inputs={"D": "1/s"}, observed=["T"],
+        parameters={"k": (1e-3, "1/s"), "E": (7600.0, "K"), "T0": (340.0, "K"),
+                    "C0": (1.5, "mol/L"), "h": (20.0, "K*L/mol")},
+    )  # fmt: skip
+    assert not failed(check_system(reactor))
+    _require_finite_rest(reactor)

@@ -83,19 +83,21 @@ class Physics:
         """Random states, inputs and parameters, the last near given values or within their bounds.
 
         Parameters that vary change by a fraction: a mass that passes zero has no acceleration.
-        States and inputs are smaller where an exponential overflows.
+        States are about where they are declared to begin, and nearer if an exponential overflows.
         """
         traced, given = self.compiled.traced, _given_values(self.system)
         x, u = (rng.normal(size=len(names)) for names in (traced.states, traced.inputs))
+        rest = rest_states(traced)
+        x *= np.where(rest == 0, 1.0, _FRACTION * rest)
         pairs = zip(traced.keys, traced.parameters, strict=True)
         p = np.array([_value_near(q, given.get(k), rng.uniform(0.3, 0.9)) for k, q in pairs])
         for effect in self.effects or ():
             if isinstance(effect, ParameterEffect):
                 p[self.amplitudes(effect)] *= _FRACTION
         for size in _SIZES:
-            if all(np.isfinite(part).all() for part in self.evaluate(size * x, size * u, p)):
-                return size * x, size * u, p
-        return x, u, p
+            if all(np.isfinite(v).all() for v in self.evaluate(rest + size * x, size * u, p)):
+                return rest + size * x, size * u, p
+        return rest + x, u, p
 
     def amplitudes(self, effect: Effect) -> Array:
         """Which parameters are amplitudes of the effect."""
