@@ -22,6 +22,12 @@ from spiral.types.parameter import Parameter, State
 _NEAR_TWO = 0.3  # around two, where a lag's share stands for a delay
 
 
+def _partly_followed(at, p):
+    """u - s (u - z), z what the actuator has followed to."""
+    (given,) = at.position
+    return given - p.share * (given - at.own.followed)
+
+
 class InputGain(InputEffect):
     """An actuator whose scale is off: acting = (1 + e) u.
 
@@ -99,8 +105,7 @@ class ActuatorLag(InputEffect):
 
     def drive(self, at, u, p):
         """u - s (u - z)."""
-        (given,) = at.position
-        return given - p.share * (given - at.own.followed)
+        return _partly_followed(at, p)
 
     def rate(self, at, u, p):
         """(u - z) / T."""
@@ -134,8 +139,7 @@ class RateLimit(InputEffect):
 
     def drive(self, at, u, p):
         """u - s (u - z)."""
-        (given,) = at.position
-        return given - p.share * (given - at.own.followed)
+        return _partly_followed(at, p)
 
     def rate(self, at, u, p):
         """R tanh((u - z) / w)."""
@@ -168,8 +172,7 @@ class InputPlay(InputEffect):
 
     def drive(self, at, u, p):
         """u - s (u - z)."""
-        (given,) = at.position
-        return given - p.share * (given - at.own.followed)
+        return _partly_followed(at, p)
 
     def rate(self, at, u, p):
         """What lies beyond the gap, over T."""

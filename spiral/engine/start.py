@@ -7,7 +7,7 @@ answer is biased by noise; it only has to lie in the basin of the short-window f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ import sympy as sp
 from spiral.engine.series import Series, sample_inputs
 from spiral.engine.study import CompiledStudy
 from spiral.physics.outside.program import ProgramValue
+from spiral.physics.starts import fill_declared_starts
 from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError
@@ -67,35 +68,6 @@ def _integrate_rate(rate: Array, series: Series) -> Array:
     integral = cumulative_trapezoid(rate, dx=series.dt, initial=0.0)
     time = np.linspace(-1.0, 1.0, len(integral))
     return integral - np.polynomial.Polynomial.fit(time, integral, 3)(time)
-
-
-def fill_declared_starts(
-    traced: TracedModel,
-    states: Array,
-    inputs: Array,
-    readings: Array | None = None,
-    known: Collection[str] = (),
-) -> None:
-    """Write into states (..., n), the ``known`` apart, where each is declared to begin.
-
-    At its ``start``, or at what it is ``like``: a state, an input (..., inputs), or a reading
-    (..., channels) that is computed from states.
-    """
-    for name, start in traced.starts:
-        if name not in known:
-            states[..., traced.states.index(name)] = start
-    for name, shown in traced.like:
-        if name in known:
-            continue
-        if shown in traced.inputs:
-            value = inputs[..., traced.inputs.index(shown)]
-        elif shown in traced.states:
-            value = states[..., traced.states.index(shown)]
-        elif readings is not None:
-            value = readings[..., traced.channels.index(shown)]
-        else:
-            continue
-        states[..., traced.states.index(name)] = value
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 from spiral.engine.kernel import trajectories
 from spiral.engine.resting import state_jacobian
 from spiral.engine.series import stable_steps, stage_inputs
-from spiral.engine.start import fill_declared_starts
 from spiral.physics.compile import compile_model
+from spiral.physics.starts import fill_declared_starts
 from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model

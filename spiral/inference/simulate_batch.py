@@ -9,8 +9,8 @@ import numpy as np
 
 from spiral.engine.batch import find_device, integrate_batch
 from spiral.engine.batch_inputs import InputColumn, lay_out_inputs
-from spiral.engine.start import fill_declared_starts
 from spiral.inference.simulate import SUBSTEPS
+from spiral.physics.starts import fill_declared_starts
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.batch import Batch
 from spiral.types.clock import MINIMUM_SAMPLES

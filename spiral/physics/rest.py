@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from spiral.physics.compile import CompiledModel
+from spiral.physics.starts import fill_declared_starts
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect
 from spiral.types.errors import PluginError
@@ -27,19 +28,18 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class _Rest:
-    """A place to ask a model at: all states and inputs alike, or states where they begin."""
+    """A place to ask a model at: one value of all states and inputs, but where these begin."""
 
     told: str
-    states: float
-    inputs: float
+    value: float
     declared: bool
 
 
-_AT_ZERO = _Rest("at zero", 0.0, 0.0, declared=False)
+_AT_ZERO = _Rest("at zero", 0.0, declared=False)
 _PLACES = (
     _AT_ZERO,
-    _Rest("where the states begin", 0.0, 0.0, declared=True),
-    _Rest("where all are one", 1.0, 1.0, declared=True),
+    _Rest("where the states begin", 0.0, declared=True),
+    _Rest("where all are one", 1.0, declared=True),
 )
 
 
@@ -182,10 +182,9 @@ def _evaluate_traced_at_rest(
     traced: TracedModel, known: Mapping[str, float], where: _Rest
 ) -> list[Array]:
     """The same from expressions, without compiling."""
-    states = np.full(len(traced.x), where.states)
-    for name, start in traced.starts if where.declared else ():
-        states[traced.states.index(name)] = start
-    inputs = np.full(len(traced.u), where.inputs)
+    states, inputs = (np.full(len(symbols), where.value) for symbols in (traced.x, traced.u))
+    if where.declared:
+        fill_declared_starts(traced, states, inputs)
     given = [*states, *inputs, *_values_at_rest(traced, known)]
     return _evaluate_traced(traced, [np.float64(v) for v in given])
 

@@ -27,10 +27,11 @@ from spiral.engine.resting import (
     steps_for_stability,
 )
 from spiral.engine.series import MOST_SUBSTEPS, Series, prepare_series
-from spiral.engine.start import fill_declared_starts, smoothed_motion
+from spiral.engine.start import smoothed_motion
 from spiral.engine.study import CompiledStudy
 from spiral.physics.compile import CompiledModel, compile_model
 from spiral.physics.readings import reading_slopes
+from spiral.physics.starts import fill_declared_starts
 from spiral.physics.trace import trace
 from spiral.types.model import Model
 from spiral.types.record import Array, Record
@@ -279,15 +280,20 @@ def _settled_states(
     run, measured = _run_with_readings(compiled, series, grid, values), series.y.std(axis=0)
     shown = list(compiled.traced.shown.values())
     if run is not None and not np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
-        return run[0], bool(np.any(run[1].std(axis=0) > _LOUD * measured))
+        return run[0], _is_loud(run[1], measured)
     states = _guess_states(compiled, series, mapping)
     if compiled.traced.starts:
         begin = _first_state(compiled, series, mapping)
         run = _run_with_readings(compiled, series, grid, values, begin)
         still = states.std(axis=0) <= _ROUNDING * np.abs(states.mean(axis=0))
-        if run is not None and not np.any(run[1].std(axis=0) > _LOUD * measured):
+        if run is not None and not _is_loud(run[1], measured):
             states[:, still] = run[0][:, still]
     return states, False
+
+
+def _is_loud(readings: Array, measured: Array) -> bool:
+    """Whether readings (samples, channels) move far more than their ``measured`` deviations."""
+    return bool(np.any(readings.std(axis=0) > _LOUD * measured))
 
 
 def motion_scales(states: Array, dt: float) -> tuple[Array, Array, Array]:

@@ -127,14 +127,14 @@ def several_causes_sentences(model: Model, given: Iterable[str]) -> tuple[str, .
     follow one thing here and another there fit what is missing, and are not what it is. ``given`` :
     labels of effects that were in the model from the start.
     """
-    followed = {
-        e.label: model.system.place(e)
+    ports = [
+        model.system.place(e)
         for e in model.effects
         if isinstance(e, ParameterEffect) and not e.steady and e.label not in given
-    }
-    if len({port.against for port in followed.values()}) < _CAUSES:
+    ]
+    if len({port.against for port in ports}) < _CAUSES:
         return ()
-    told = " and ".join(f"{port.axes[0]} follows {port.against}" for port in followed.values())
+    told = " and ".join(f"{port.axes[0]} follows {port.against}" for port in ports)
     return (
         f"{told}: one cause would be one variable, and together they may stand in for a law that "
         "no candidate is",

@@ -32,7 +32,6 @@ Ways = Mapping[str, Interpolation]
 _SHOWN = 1.0  # squared change of the whitened misses from which a record can tell two ways apart
 _REACH = 0.1  # share of what a way has to gain that it shows to first order
 _STAYS = 0.5  # share of an input's samples that are as the one before, from which it is held
-_NONE = np.zeros(0)
 _JUMP = 0.1  # of an input's deviation, above which most of its steps are jumps and no rounding
 
 
@@ -49,7 +48,9 @@ def held_inputs(problem: Problem) -> Ways:
         if _is_interpolation_open(problem, known)
         and not _declared_ways(problem, known)
         and known.interpolation not in HELD
-        and all(_is_staircase(r.inputs.get(known.name, _NONE)) for r in problem.records)
+        and all(
+            known.name in r.inputs and _is_staircase(r.inputs[known.name]) for r in problem.records
+        )
     }
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spiral.engine.start import fill_declared_starts
+from spiral.physics.starts import fill_declared_starts
 from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.fields import field_names
