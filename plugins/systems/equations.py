@@ -102,6 +102,23 @@ class Equations(MechanicalSystem):
         }
 
     @property
+    def auxiliaries(self):
+        """What ``let`` names of two variables or more."""
+        return tuple(state for state, _ in self.form.auxiliaries)
+
+    def auxiliary(self, x, u, p):
+        """a(x, u, p) of each."""
+        from spiral.physics.formulas.rows import FIRST
+
+        if not self.form.auxiliaries:
+            return {}
+        q, v = self.split(x)
+        values = self._formula_values(q, v, u, p)
+        values |= {name + FIRST: rate for name, rate in vars(v).items()}
+        names, texts = zip(*((a.name, text) for a, text in self.form.auxiliaries), strict=True)
+        return dict(zip(names, _compute_formulas(texts, values), strict=True))
+
+    @property
     def inputs(self):
         """Known inputs."""
         return self.form.definition.inputs

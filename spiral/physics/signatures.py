@@ -247,11 +247,32 @@ def _flow_position(along: SystemMotion, effect: StateFlow, port: Port) -> Array:
 
 
 def followed_variable(along: SystemMotion, port: Port) -> Array:
-    """(samples,) the state, the input or the time that a port counts against."""
-    names = [s.name for s in along.system.states]
-    if port.against in names:
-        return along.states[:, names.index(port.against)]
-    return along.inputs[:, input_columns(along.system).index(port.against)]
+    """(samples,) the state, the input, the auxiliary or the time that a port counts against."""
+    system, name = along.system, port.against
+    names, columns = [s.name for s in system.states], input_columns(system)
+    if name in names:
+        return along.states[:, names.index(name)]
+    if name in columns:
+        return along.inputs[:, columns.index(name)]
+    return auxiliary_along(system, name, along.states, along.inputs, along.parameters)
+
+
+def auxiliary_along(
+    system: System, name: str, states: Array, inputs: Array, parameters: Sequence[float]
+) -> Array:
+    """(samples,) one of a system's ``auxiliaries`` along states and inputs (samples, columns)."""
+    values = _auxiliary_function(system, name)(*states.T, *inputs.T, *parameters)
+    return np.array(np.broadcast_to(values, len(states)), float)
+
+
+@kept(64)
+def _auxiliary_function(system: System, name: str) -> Function:
+    """a(x, u, p) of one auxiliary."""
+    traced = trace(system, ())
+    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
+    u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
+    value = system.auxiliary(x, u, _parameter_symbols(traced))[name]
+    return sp.lambdify([*traced.x, *traced.u, *traced.p], value, "numpy")
 
 
 def _recorded_input(along: SystemMotion, port: Port) -> Array:

@@ -254,7 +254,8 @@ def _place_effect(
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, ParameterEffect) or getattr(effect, "driver", ""):
-        position = ({**inputs, **states}[port.against],) if port.against else ()
+        followed = {**system.auxiliary(x, SimpleNamespace(**inputs), p), **inputs, **states}
+        position = (followed[port.against],) if port.against else ()
     elif isinstance(effect, StateFlow):
         outside = {**inputs, **states}[port.against] if port.against else 0
         position = tuple(getattr(x, name) - outside for name in port.axes)

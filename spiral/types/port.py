@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +18,8 @@ class Port:
     ``coordinates(q, p)`` returns one expression per axis. Velocities and generalised forces
     follow by virtual work: v = J q', Q = J^T F with J = d(coordinates)/dq. An effect is written
     once and serves one axis or two, a disk or a bearing. ``against`` is the input or state from
-    which the position of a place for flows counts; empty where it counts from zero.
+    which the position of a place for flows counts, or the variable that a parameter follows; empty
+    where it counts from zero.
     """
 
     name: str
@@ -77,11 +78,22 @@ def difference_port(units: dict[str, str], into: State, other: str) -> Port:
     return replace(state_port(units, into), name=f"state {into.name}-{other}", against=other)
 
 
-def joint_coordinates(
-    first: Port, second: Port
-) -> Callable[[SimpleNamespace, SimpleNamespace], list[Any]]:
-    """Coordinates of two ports in one list."""
-    return lambda q, p: [*first.coordinates(q, p), *second.coordinates(q, p)]
+def varied_ports(names: Iterable[str], followed: Mapping[str, str]) -> dict[str, Port]:
+    """Ports ``parameter NAME with VARIABLE`` by their place's name; ``followed`` has the units."""
+    ports = (
+        Port(f"parameter {name} with {variable}", (name,), lambda x, p: [], unit, "", variable)
+        for name in names
+        for variable, unit in followed.items()
+    )
+    return {place_name(port): port for port in ports}
+
+
+def link_port(a: Port, b: Port) -> Port:
+    """The port of two places with one axis each, ``NAME-NAME``."""
+    return Port(
+        f"{a.name}-{b.name}", (a.name, b.name),
+        lambda q, p: [*a.coordinates(q, p), *b.coordinates(q, p)], a.position_unit, a.force_unit,
+    )  # fmt: skip
 
 
 def varied_key(port: Port) -> str:

@@ -20,15 +20,12 @@ from spiral.types.plugin import Plugin
 from spiral.types.port import (
     Port,
     difference_port,
-    joint_coordinates,
+    link_port,
     place_name,
     state_port,
+    varied_ports,
 )
-from spiral.types.probing import (
-    balanced_states,
-    follows_input,
-    lines_of,
-)
+from spiral.types.probing import balanced_states, follows_input, lines_of
 
 TIME = "time"
 """The column of time among a model's inputs."""
@@ -140,6 +137,17 @@ class System(Plugin):
         self, x: SimpleNamespace, rates: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace
     ) -> dict[str, Any]:
         """h(x, x', u, p) of each of ``readings``; ``rates`` are x' by the states' names."""
+        return {}
+
+    @property
+    def auxiliaries(self) -> tuple[State, ...]:
+        """Named functions of states, inputs and parameters that a parameter may follow as well."""
+        return ()
+
+    def auxiliary(
+        self, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace
+    ) -> dict[str, Any]:
+        """a(x, u, p) of each of ``auxiliaries``."""
         return {}
 
     @property
@@ -299,7 +307,7 @@ class System(Plugin):
         """Ports for parameters that vary: each amplitude, with each variable that it may follow.
 
         Amplitudes are the system's parameters and those of its seed; variables its states, its
-        inputs and time. Such a port is called ``parameter NAME with VARIABLE``.
+        inputs, its auxiliaries and time. Such a port is called ``parameter NAME with VARIABLE``.
         """
         return tuple(_varied_ports(self).values())
 
@@ -456,13 +464,8 @@ def _varied_ports(system: System) -> dict[str, Port]:
         if p.role == "amplitude"
     ]  # fmt: skip
     free = (i for i in system.inputs if not i.derived_from)
-    followed = {x.name: x.unit for x in (*system.states, *free)} | {TIME: "s"}
-    ports = (
-        Port(f"parameter {name} with {x}", (name,), lambda x, p: [], unit, "", against=x)
-        for name in names
-        for x, unit in followed.items()
-    )
-    return {place_name(port): port for port in ports}
+    followed = {x.name: x.unit for x in (*system.states, *free, *system.auxiliaries)}
+    return varied_ports(names, followed | {TIME: "s"})
 
 
 @kept(32)
@@ -470,13 +473,7 @@ def _coordinate_pairs(system: MechanicalSystem) -> dict[Port, tuple[str, str]]:
     """Pairs of the ports that are coordinates, one axis each, with these coordinates."""
     plain = _plain_ports(system).items()
     return {
-        Port(
-            f"{a.name}-{b.name}",
-            (a.name, b.name),
-            joint_coordinates(a, b),
-            a.position_unit,
-            a.force_unit,
-        ): (x, y)
+        link_port(a, b): (x, y)
         for (a, x), (b, y) in itertools.combinations(plain, 2)
         if (a.position_unit, a.force_unit) == (b.position_unit, b.force_unit)
     }

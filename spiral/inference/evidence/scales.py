@@ -29,14 +29,14 @@ from spiral.engine.filter.extended import filter_record
 from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.setup import prepare_filter, with_level
 from spiral.engine.filter.task import build_task, run_from_rest
-from spiral.engine.series import Series, prepare_series
+from spiral.engine.series import Series, prepare_series, sample_inputs
 from spiral.engine.start import smoothed_motion
 from spiral.engine.study import CompiledStudy
 from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
 from spiral.physics.compile import compile_model
+from spiral.physics.signatures import auxiliary_along
 from spiral.physics.trace import TracedModel, trace
 from spiral.types.effect import Effect
-from spiral.types.label import parameter_of
 from spiral.types.model import Model
 from spiral.types.parameter import Parameter
 from spiral.types.port import Port
@@ -129,11 +129,18 @@ def _largest_signals(system: System, records: Sequence[Record]) -> dict[str, flo
 def _largest_variables(
     system: System, records: Sequence[Record], states: Array
 ) -> dict[str, float]:
-    """Largest |value| of each state (samples, n), each input, and time."""
+    """Largest |value| of each state (samples, n), each input, each auxiliary, and time."""
     followed = {s.name: states[:, i] for i, s in enumerate(system.states)}
     followed |= {i.name: np.concatenate([r.inputs[i.name] for r in records])
                  for i in system.inputs if all(i.name in r.inputs for r in records)}  # fmt: skip
     followed[TIME] = np.array([(r.samples - 1) * r.dt for r in records])
+    if system.auxiliaries:
+        given = (sample_inputs(prepare_series(system, r, 1).inputs, 1) for r in records)
+        inputs, first = np.concatenate(list(given)), list(_first_values(system).values())
+        with np.errstate(all="ignore"):
+            along = {a.name: auxiliary_along(system, a.name, states, inputs, first)
+                     for a in system.auxiliaries}  # fmt: skip
+        followed |= {name: np.nan_to_num(values) for name, values in along.items()}
     return {name: float(np.abs(values).max()) for name, values in followed.items()}
 
 
@@ -250,8 +257,7 @@ def port_motion_expressions(
 ) -> list[tuple[str, list[Any]]]:
     """A port's position, and in a mechanical system its velocity, as expressions of the states."""
     x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    own = zip(traced.keys, traced.parameters, strict=True)
-    p = SimpleNamespace(**{parameter_of(k): sp.Float(v.start or 1.0) for k, v in own})
+    p = SimpleNamespace(**{name: sp.Float(value) for name, value in _first_values(system).items()})
     if not has_coordinates(system):
         return [("position", list(port.coordinates(x, p)))]
     q, v = system.split(x)
@@ -260,3 +266,10 @@ def port_motion_expressions(
     velocity = position.jacobian([getattr(q, n) for n in names])
     velocity = velocity * sp.Matrix([getattr(v, n) for n in names])
     return [("position", sp.flatten(position)), ("velocity", sp.flatten(velocity))]
+
+
+def _first_values(system: System) -> dict[str, float]:
+    """A value of each of a system's parameters: as given, as it is first tried, or one."""
+    return {
+        q.name: q.start or system.defaults.get(f"system.{q.name}") or 1.0 for q in system.parameters
+    }

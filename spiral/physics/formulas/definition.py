@@ -19,7 +19,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, get_args
 
-from spiral.physics.formulas.let import is_reserved, write_out
+from spiral.physics.formulas.let import is_reserved, let_formulas, write_out
 from spiral.physics.formulas.observed import split_observed
 from spiral.types.errors import (
     ConfigError,
@@ -60,6 +60,7 @@ class SystemDefinition:
     mass : coordinate -> its inertia, or a list of rows, where the equations are solved for the
         accelerations and forces on one coordinate move others too.
     title : what the system is, in a few words.
+    named : name -> formula of parts of equations, of the section ``let``.
     """
 
     equations: tuple[str, ...]
@@ -73,6 +74,7 @@ class SystemDefinition:
     ports: tuple[tuple[str, tuple[str, ...]], ...]
     mass: tuple[tuple[str, ...], ...] | tuple[tuple[str, str], ...]
     title: str = ""
+    named: tuple[tuple[str, str], ...] = ()
 
     @property
     def units(self) -> dict[str, str]:
@@ -82,7 +84,7 @@ class SystemDefinition:
         return {**{i.name: i.unit for i in named}, **{n: u for n, _, u in self.constants}}
 
 
-_DERIVED = ("values", "readings")  # fields that follow from other sections
+_DERIVED = ("values", "readings", "named")  # fields that follow from other sections
 SECTIONS = (*(f.name for f in fields(SystemDefinition) if f.name not in _DERIVED), "free", "let")
 
 
@@ -118,7 +120,7 @@ def definition_of(text: str) -> SystemDefinition:
     for name in given:
         if name not in SECTIONS:
             raise unknown_field("system", str(name), SECTIONS)
-    given = write_out(given)
+    named, given = let_formulas(given), write_out(given)
     free = tuple(map(str, given.get("free") or ()))
     constants = tuple(
         (n, *_required_quantity(n, v)) for n, v in _section(given, "constants").items()
@@ -145,6 +147,7 @@ def definition_of(text: str) -> SystemDefinition:
         ports=_port_formulas(_section(given, "ports")),
         mass=_mass_entries(given.get("mass")),
         title=str(given.get("title") or ""),
+        named=tuple(named.items()),
     )
     _check_declared_names(definition, free, [f"{name}_rate" for name in twice])
     return _with_input_rates(definition)

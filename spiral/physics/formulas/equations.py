@@ -22,7 +22,7 @@ from spiral.physics.formulas.capacity import flow_capacities
 from spiral.physics.formulas.definition import SystemDefinition, definition_of
 from spiral.physics.formulas.dimensions import DimensionWalk, UnitEquations, dimension
 from spiral.physics.formulas.inertia import inertia_of
-from spiral.physics.formulas.measured import readings_of
+from spiral.physics.formulas.measured import auxiliaries_of, readings_of
 from spiral.physics.formulas.rows import (
     FIRST,
     SECOND,
@@ -48,7 +48,7 @@ class StandardForm:
 
     ``rates`` are the names of the coordinates' rates, ``capacities`` those of states that have a
     changing one, with its formula, ``force_units`` the units of the rows,
-    ``readings`` what is measured that is no state.
+    ``readings`` what is measured that is no state, ``auxiliaries`` what ``let`` names.
     """
 
     definition: SystemDefinition
@@ -61,6 +61,7 @@ class StandardForm:
     capacities: tuple[tuple[str, str], ...]
     force_units: tuple[str, ...]
     readings: tuple[tuple[State, str], ...]
+    auxiliaries: tuple[tuple[State, str], ...]
 
     @property
     def units(self) -> dict[str, str]:
@@ -123,7 +124,7 @@ def _arrange_equations(given: SystemDefinition, rows: Sequence[EquationRow]) -> 
         given, tuple(coordinates), tuple(velocity.values()), tuple(others),
         tuple(tuple(formula_text(inertia[i, j]) for j in range(count)) for i in range(count)),
         tuple(map(formula_text, force)), tuple(map(formula_text, flow)), capacities, force_units,
-        readings_of(given, velocity),
+        readings_of(given, velocity), auxiliaries_of(given, velocity),
     )  # fmt: skip
 
 

@@ -28,17 +28,21 @@ def write_out(given: Mapping[str, Any]) -> dict[str, Any]:
     ConfigError : no mapping of names to formulas, a name that is taken, formulas that go in a
         circle, the rate of a name.
     """
-    sections = {k: v for k, v in given.items() if k != "let"}
-    let = _declared(given)
-    if not let:
+    sections, formulas = {k: v for k, v in given.items() if k != "let"}, let_formulas(given)
+    if not formulas:
         return sections
-    formulas = {name: _written_out(name, let, ()) for name in let}
     for name in sections.keys() & set(_FORMULAS):
         sections[name] = _within(sections[name], formulas)
     observed = sections.get("observed") or ()
     observed = [observed] if isinstance(observed, str) else observed
     sections["observed"] = [_observed(str(o), formulas) for o in observed]
     return sections
+
+
+def let_formulas(given: Mapping[str, Any]) -> dict[str, str]:
+    """The formulas of ``let`` by name, those of other names written out; as in ``write_out``."""
+    let = _declared(given)
+    return {name: _written_out(name, let, ()) for name in let}
 
 
 def _declared(given: Mapping[str, Any]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Readings that are no state: their units, and their formulas with names for rates."""
+"""Readings and named formulas that are no state: their units, with names for rates."""
 
 from __future__ import annotations
 
@@ -53,6 +53,32 @@ def readings_of(
             raise ConfigError(f"{place}: {said}", error.expected, error.try_) from error
         readings.append((State(name, unit), formula))
     return tuple(readings)
+
+
+def auxiliaries_of(
+    given: SystemDefinition, velocity: Mapping[str, str]
+) -> tuple[tuple[State, str], ...]:
+    """What ``let`` names of two states or inputs, or more, with its unit and its formula.
+
+    What is a function of one alone says no more than that one. Those of accelerations, of the rates
+    of states of first order, or of a unit that is not plain are left out. ``velocity`` as in
+    ``readings_of``.
+    """
+    auxiliaries = []
+    variables = {i.name for i in (*given.states, *given.inputs)} | {*velocity.values()}
+    variables |= {i.rate.name for i in given.inputs}
+    for name, text in given.named:
+        formula = replace_primes(text, {i.name: i.rate.name for i in given.inputs})
+        try:
+            value = formula_expression(given, formula)
+            unit = _formula_unit(given, value, row_units(given), formula)
+        except ConfigError:  # said where an equation holds it
+            continue
+        used = {restore_primes(str(s)) for s in value.free_symbols}
+        rates = {n for n in used if n.endswith("'")}
+        if rates <= {f"{c}'" for c in velocity} and len((used & variables) | rates) > 1:
+            auxiliaries.append((State(name, unit), formula))
+    return tuple(auxiliaries)
 
 
 def _formula_unit(

@@ -17,6 +17,7 @@ import numpy as np
 
 from spiral.engine.likelihood.noise import first_noise
 from spiral.engine.likelihood.predict import Prediction, predict_cases
+from spiral.engine.series import sample_inputs
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState, Masks
@@ -58,6 +59,7 @@ from spiral.inference.strategies.likelihood.laws import (
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
 from spiral.physics.learned import LEVELS, Learned, LearnedParameterChange
+from spiral.physics.signatures import auxiliary_along
 from spiral.types.record import Array
 from spiral.types.run import Comparison
 from spiral.types.system import TIME
@@ -303,14 +305,24 @@ def _as_curve_fit(whole: WholeRecordFit, label: str) -> CurveFit:
     state = whole.fit.state
     runs = predict_cases([(at.prepared, at.noise)], at.keys, keep=True)[0]
     records = [(task.series.record, p.done) for (task, _), p in zip(at.prepared, runs, strict=True)]
-    names = [i.name for i in own.problem.model.system.inputs]
+    system, row = own.problem.model.system, state.values[0]
+    states = np.concatenate([p.means[: p.done, :count] for p in runs])
+    names = [i.name for i in system.inputs]
     names = [n for n in names if all(n in r.inputs for r, _ in records)]
     followed = {n: np.concatenate([r.inputs[n][:done] for r, done in records]) for n in names}
     followed[TIME] = np.concatenate([r.dt * np.arange(done) for r, done in records])
+    columns = np.concatenate([
+        sample_inputs(task.series.inputs, task.series.substeps)[: p.done]
+        for (task, _), p in zip(at.prepared, runs, strict=True)
+    ])  # fmt: skip
+    given = [row[own.study.index(f"system.{p.name}")] for p in system.parameters]
+    followed |= {
+        a.name: auxiliary_along(system, a.name, states[:, : len(system.states)], columns, given)
+        for a in system.auxiliaries
+    }
     return CurveFit(
-        own, learned, _added_labels(own, state), state.values[0],
-        tuple(own.study.index(k) for k in at.keys), _covariance(runs),
-        np.concatenate([p.means[: p.done, :count] for p in runs]), followed,
+        own, learned, _added_labels(own, state), row,
+        tuple(own.study.index(k) for k in at.keys), _covariance(runs), states, followed,
     )  # fmt: skip
 
 
