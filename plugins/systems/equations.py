@@ -254,4 +254,6 @@ def _element_ports(system, ports):
     for parameter, text in element_deflections(form, known):
         used = syntax.names(text)
         joined = "_".join(c.name for c in form.coordinates if c.name in used)
-        yield (parameter if joined in taken else joined), (text,)
+        name = parameter if joined in taken else joined
+        taken.add(name)
+        yield name, (text,)

@@ -62,3 +62,18 @@ def test_places_at_elements_are_linear_in_coordinates_and_new(equation, joined):
     names = [p.name for p in spiral.system(given).ports]
     plain = ["a", "b", "a_b"]
     assert names == (plain if not joined else [*plain, "k"])
+
+
+def test_two_springs_on_the_same_coordinates_are_two_places():
+    """A deck on a spring at each end: y - a phi, and y + b phi."""
+    deck = spiral.system(
+        ["m*y'' + k1*(y - a*phi) + k2*(y + b*phi) = F",
+         "J*phi'' - a*k1*(y - a*phi) + b*k2*(y + b*phi) = 0"],
+        states={"y": "m", "phi": "rad"}, inputs={"F": "N"}, observed=["y", "phi"],
+        parameters={"m": "1800 kg", "J": "2430 kg*m^2", "a": "1.4 m", "b": "1.1 m",
+                    "k1": "235e3 N/m", "k2": "222e3 N/m"},
+    )  # fmt: skip
+    assert [p.name for p in deck.ports] == ["y", "phi", "y_phi", "k2"]
+    at = SimpleNamespace(y=0.5, phi=0.1), SimpleNamespace(a=1.4, b=1.1)
+    ends = [deck.port(name).coordinates(*at)[0] for name in ("y_phi", "k2")]
+    assert sorted(map(abs, ends)) == pytest.approx([0.36, 0.61])

@@ -121,6 +121,7 @@ def test_what_is_finite_as_a_text_is_finite_at_rest():
         ("-k*x**n", {}, ["a power has a number"]),
         ("-k*x**99", {}, ["99", "12"]),
         ("-k*x**1.5", {}, ["may be negative", "abs(x)**0.5"]),
+        ("-k*x**0.8", {}, ["may be negative", "abs(x)**0.8"]),
         ("-k*(x**2 - 1)**0.5", {}, ["may be negative", "a sum of squares"]),
         ("-k*sign(x)", {}, ["tanh(v/w)"]),
         ("-k*tan(x)", {}, ["tanh"]),

@@ -69,3 +69,17 @@ def test_a_reaction_is_asked_at_its_temperature():
     )  # fmt: skip
     assert not failed(check_system(reactor))
     _require_finite_rest(reactor)
+
+
+def test_each_state_that_is_declared_to_begin_moves_by_a_share_of_its_own_size():
+    """A flow of 0.4 kg/s beside a pressure of 6000 Pa: one common step bends the flow's cubic."""
+    compressor = spiral.system(
+        ["m' = A*(p0 + H*(1.5*m/W - 0.5*(m/W - 1)**3 - 0.5) - dp)",
+         "dp' = B*(m - k*valve*sqrt(maximum(dp, least)))"],
+        states={"m": {"unit": "kg/s", "start": 0.4}, "dp": {"unit": "Pa", "start": 6000}},
+        inputs={"valve": "1"}, observed=["m", "dp"],
+        parameters={"A": (0.01, "m"), "B": (2.12e6, "1/m/s^2"), "p0": (3000, "Pa"),
+                    "H": (2630, "Pa"), "W": (0.144, "kg/s"), "k": (0.0102, "kg/s/Pa^0.5"),
+                    "least": (1.0, "Pa")},
+    )  # fmt: skip
+    assert not failed(check_system(compressor))

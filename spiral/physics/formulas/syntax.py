@@ -263,11 +263,13 @@ def _check_power(node: ast.BinOp, text: str) -> None:
         raise ConfigError(
             f"expression {text!r}: the power {inner.value}", f"at most {LARGEST_EXPONENT}"
         )
+    power = -inner.value if isinstance(node.right, ast.UnaryOp) else inner.value
     if not float(inner.value).is_integer() and not _is_never_negative(node.left):
         raise ConfigError(
-            f"expression {text!r}: the power {inner.value} of what may be negative",
+            f"expression {text!r}: the power {power} of what may be negative",
             "a whole power, or a root of abs(...), hypot(...), sqrt(...) or a sum of squares",
-            f"x*abs(x)**{max(inner.value - 1, 0.5):g} keeps the sign",
+            f"abs(x)**{power:g}"
+            + (f"; x*abs(x)**{power - 1:g} keeps the sign" if power > 1 else ""),
         )
 
 
