@@ -254,7 +254,9 @@ def _place_effect(
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, ParameterEffect) or getattr(effect, "driver", ""):
-        followed = {**system.auxiliary(x, SimpleNamespace(**inputs), p), **inputs, **states}
+        followed = {**inputs, **states}
+        if port.against and port.against not in followed:
+            followed = system.auxiliary(x, SimpleNamespace(**inputs), p)
         position = (followed[port.against],) if port.against else ()
     elif isinstance(effect, StateFlow):
         outside = {**inputs, **states}[port.against] if port.against else 0
