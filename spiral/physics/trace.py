@@ -254,17 +254,16 @@ def _place_effect(
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, ParameterEffect) or getattr(effect, "driver", ""):
-        followed = {**inputs, **states}
-        if port.against and port.against not in followed:
-            followed = system.auxiliary(x, SimpleNamespace(**inputs), p)
-        position = (followed[port.against],) if port.against else ()
+        name, known = port.against, {**inputs, **states}
+        if name and name not in known:
+            known = system.auxiliary(x, SimpleNamespace(**inputs), p)
+        position = (known[name],) if name else ()
     elif isinstance(effect, StateFlow):
         outside = {**inputs, **states}[port.against] if port.against else 0
         position = tuple(getattr(x, name) - outside for name in port.axes)
     elif has_coordinates(system):
         q, v = system.split(x)
-        position = tuple(port.coordinates(q, p))
-        names = [c.name for c in system.coordinates]
+        position, names = tuple(port.coordinates(q, p)), [c.name for c in system.coordinates]
         jacobian = sp.Matrix(position).jacobian([getattr(q, n) for n in names])
         velocity = tuple(jacobian * sp.Matrix([getattr(v, n) for n in names]))
     else:
