@@ -413,23 +413,23 @@ def _smaller_than_noise(
 ) -> tuple[Comparison, tuple[str, ...]]:
     """The model after which an error has less than the noise left to fall, and what came then.
 
-    Nothing came where no model is as near, or where no free run tells.
+    Nothing came where no model is as near, or where no free run tells. What takes the place of an
+    effect that came before does that effect's work.
     """
     last = rounds[-1].comparison
     errors = enumerate(r.comparison.test_error for r in rounds)
     near = (k for k, error in errors if leaves_less_than_noise(error, last, settings))
     k = next(near, len(rounds) - 1)
     early = {x for r in rounds[: k + 1] for x in r.admitted}
+    for r in rounds[k + 1 :]:
+        early |= set(r.admitted) if early & set(r.retired) else set()
     return rounds[k].comparison, tuple(x for x in named if x not in early)
 
 
 def _error_clause(first: Comparison, last: Comparison) -> str:
     """The error on unseen data before and after: of free runs, or else one sample ahead."""
-    before, after, floor = (
-        next_sample_error(first),
-        next_sample_error(last),
-        percent(last.floor),
-    )
+    before, after = next_sample_error(first), next_sample_error(last)
+    floor = percent(last.floor)
     if is_free_run_carried_away(last) and before is not None and after is not None:
         return (
             f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; "

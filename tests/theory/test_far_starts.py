@@ -173,6 +173,30 @@ def test_a_culture_that_nobody_has_sown_tells_no_scale():
     assert rates[1] > 0
 
 
+def test_an_epidemic_moves_as_from_where_it_is_declared_to_begin():
+    """From nobody ill it grows from what is brought in, a thousandfold smaller over the record."""
+    b, a, g = 4.2e-6, 3.5e-6, 2.1e-6
+    system = spiral.system(
+        ["S' = -b*S*I", "E' = b*S*I + m - a*E", "I' = a*E - g*I"],
+        states={"S": {"unit": "1", "start": 0.9}, "E": {"unit": "1", "start": 1e-3},
+                "I": {"unit": "1", "start": 1e-3}},
+        inputs={"m": "1/s"}, observed=["load = s*I"],
+        parameters={"b": (b, "1/s"), "a": (a, "1/s"), "g": (g, "1/s"), "s": (1e6, "1")},
+    )  # fmt: skip
+
+    def rate(x, u):
+        s, e, i = x
+        return [-b * s * i, b * s * i + u - a * e, a * e - g * i]
+
+    imported = np.full(300, 1e-13)
+    moved = _run(rate, [0.9, 1e-3, 1e-3], imported, 86400.0)
+    record = make_record(
+        system, "town", 86400.0 * np.arange(300), {"load": 1e6 * moved[:, 2]}, {"m": imported}
+    )
+    task = prepare_task(seed_model(system), record)
+    assert task.scales[1:] == pytest.approx(moved[:, 1:].std(axis=0), rel=0.5)
+
+
 def test_a_state_begins_like_another_or_at_a_number():
     with pytest.raises(spiral.SpiralError, match="one of the two"):
         spiral.system(_brake_that(like="T"))

@@ -116,6 +116,23 @@ def test_a_parameter_of_a_seeds_effect_varies_too_and_the_equation_says_so():
     assert effect.label in equation_text(model)
 
 
+def test_the_equation_shows_a_parameter_where_a_reading_has_it_and_no_rounding():
+    """A resistance that follows the temperature, in a loss and in the voltage that is read."""
+    cell = spiral.system(
+        ["C*T' = R*I^2 - G*(T - Ta)"], states={"T": "K"}, inputs={"I": "A", "Ta": "K"},
+        parameters={"C": (62.7, "J/K"), "R": (0.024, "ohm"), "G": (0.53, "W/K"),
+                    "s": (1e-3, "V/K")},
+        observed=["U = s*T + R*I", "T"],
+    )  # fmt: skip
+    text = equation_text(seed_model(cell).add(LinearChange(port="R-T"), {}))
+    readings = text[text.index("reading of U") : text.index("reading of T")]
+    assert "linear_change@R-T" in readings
+    loss = seed_model(cell).add(LinearChange(port="G-I"), {"linear_change@G-I.slope": 0.0512})
+    lines = [line for line in equation_text(loss).splitlines() if "linear_change" in line]
+    assert len(lines) == 1
+    assert "e-1" not in lines[0]
+
+
 def test_the_slope_along_a_motion_is_the_derivative_of_the_traced_model():
     system, rng = heater(), np.random.default_rng(1)
     states, inputs = rng.normal(size=(7, 2)) + 3, np.abs(rng.normal(size=(7, 3))) + 0.1

@@ -127,6 +127,20 @@ def test_what_is_smaller_than_the_noise_is_named_last(between, apart):
     )  # fmt: skip
 
 
+def test_what_takes_the_place_of_another_effect_does_the_work_of_both():
+    """A resistance that follows the temperature within, found by that of the surface first."""
+    first, second = rounds(replace(GOOD, test_error=0.021))
+    both = model(effect("coulomb_friction"), coulomb_friction__level=(0.2, 0.01))
+    third = Round(
+        2, ("coulomb_friction",), {}, {}, (), replace(GOOD, model=both), 1.0,
+        retired=("cubic_stiffness",),
+    )  # fmt: skip
+    _, words, _ = said((first, second, third), "whiteness")
+    assert words == (
+        "Missing was coulomb_friction: test error 60.0 % -> 2.01 % (noise floor 2.00 %)."
+    )
+
+
 def test_what_was_never_larger_than_the_noise_is_named_with_that():
     _, words, _ = said(rounds(GOOD, replace(POOR, test_error=0.025)), "whiteness")
     assert words == (

@@ -275,20 +275,42 @@ def _settled_states(
 
     A machine that falls out of step, begun from rest, runs on by itself: its readings move
     ``_LOUD`` times as much as measured, and its states tell no scale. Of one that rests for ever (a
-    culture that nobody has sown) hidden states move as from where they are declared to begin.
+    culture that nobody has sown) hidden states move as from where they are declared to begin. Where
+    starts are declared, the run from there is taken if it moves more nearly as measured than that
+    from rest: an epidemic that nobody has brought in grows too late, if at all.
     """
     run, measured = _run_with_readings(compiled, series, grid, values), series.y.std(axis=0)
+    begun = None
+    if compiled.traced.starts:
+        begin = _first_state(compiled, series, mapping)
+        begun = _run_with_readings(compiled, series, grid, values, begin)
+        if _is_nearer(begun, run, measured):
+            run = begun
     shown = list(compiled.traced.shown.values())
     if run is not None and not np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
         return run[0], _is_loud(run[1], measured)
     states = _guess_states(compiled, series, mapping)
-    if compiled.traced.starts:
-        begin = _first_state(compiled, series, mapping)
-        run = _run_with_readings(compiled, series, grid, values, begin)
-        still = states.std(axis=0) <= _ROUNDING * np.abs(states.mean(axis=0))
-        if run is not None and not _is_loud(run[1], measured):
-            states[:, still] = run[0][:, still]
+    still = states.std(axis=0) <= _ROUNDING * np.abs(states.mean(axis=0))
+    if begun is not None and not _is_loud(begun[1], measured):
+        states[:, still] = begun[0][:, still]
     return states, False
+
+
+def _is_nearer(
+    one: tuple[Array, Array] | None, other: tuple[Array, Array] | None, measured: Array
+) -> bool:
+    """Whether the readings of one run move more nearly as much as measured than another's.
+
+    By the sum of squares of log(deviation / measured deviation) over the channels that move.
+    """
+    if one is None or other is None:
+        return other is None and one is not None
+    moving = measured > 0
+    apart = [
+        np.log(np.maximum(run[1].std(axis=0)[moving], _QUIET * measured[moving]) / measured[moving])
+        for run in (one, other)
+    ]
+    return float(np.sum(apart[0] ** 2)) < float(np.sum(apart[1] ** 2))
 
 
 def _is_loud(readings: Array, measured: Array) -> bool:

@@ -21,6 +21,7 @@ from spiral.types.system import has_coordinates
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _GREEK = {"alpha": "α", "beta": "β", "theta": "θ", "phase": "θ", "speed": "Ω"}
 _DIGITS = 4
+_ROUNDING = 1e-12  # share of a term that is left of it by rounding
 _WIDE = 20  # letters of a left side beside which its terms begin
 
 
@@ -72,7 +73,11 @@ def model_equations(model: Model) -> tuple[tuple[Equation, ...], TracedModel]:
                 terms.append(EquationTerm(label, _shorter_difference(own, before)))
         terms = [EquationTerm(t.owner, _name_program_calls(t.value)) for t in terms]
         listed.append(Equation(f"{name}'", tuple(t for t in terms if t.value != 0), inertia))
-    return (*listed, *_reading_equations(model)), whole
+    read = tuple(
+        e for e in model.effects
+        if isinstance(e, SensorEffect) or alone[e.label][0].output != alone[e.label][1].output
+    )  # fmt: skip
+    return (*listed, *_reading_equations(model, read)), whole
 
 
 def _coupled_rows(model: Model, traced: TracedModel) -> dict[str, int]:
@@ -144,20 +149,22 @@ def equation_latex(model: Model) -> str:
     return "\n".join([r"\begin{align*}", *rows, r"\end{align*}"])
 
 
-def _reading_equations(model: Model) -> list[Equation]:
-    """What the sensors report, where effects change it: each effect's change, in their order."""
-    sensors = tuple(e for e in model.effects if isinstance(e, SensorEffect))
-    if not sensors:
+def _reading_equations(model: Model, effects: tuple[Effect, ...]) -> list[Equation]:
+    """What the sensors report, where ``effects`` change it: each one's change, in their order.
+
+    Effects on sensors do, and changes of a parameter by which a reading is computed.
+    """
+    if not effects:
         return []
-    others = tuple(e for e in model.effects if e not in sensors)
+    others = tuple(e for e in model.effects if e not in effects)
     steps = [
-        _substitute_values(trace(model.system, (*others, *sensors[:count])), model).output
-        for count in range(len(sensors) + 1)
+        _substitute_values(trace(model.system, (*others, *effects[:count])), model).output
+        for count in range(len(effects) + 1)
     ]
     listed = []
     for row, name in enumerate(model.system.observed):
         terms = [EquationTerm("", steps[0][row])]
-        for effect, before, after in zip(sensors, steps, steps[1:], strict=False):
+        for effect, before, after in zip(effects, steps, steps[1:], strict=False):
             terms.append(
                 EquationTerm(
                     effect.label, _name_program_calls(_shorter_difference(after[row], before[row]))
@@ -230,7 +237,18 @@ def _shorter_difference(value: sp.Expr, before: sp.Expr) -> Any:
         expanded = sp.expand(left) if before != 0 else left
     except TypeError:
         return left
-    return min((left, expanded), key=sp.count_ops)
+    return min((left, _without_rounding(expanded, value)), key=sp.count_ops)
+
+
+def _without_rounding(difference: Any, value: sp.Expr) -> Any:
+    """A sum without terms that are no more than what rounding leaves of the same term of a value.
+
+    5.1e-4 T - 5.1e-4 T of two models is zero, or 2e-19 T.
+    """
+    size = {m: abs(c) for c, m in (t.as_coeff_Mul() for t in sp.Add.make_args(sp.expand(value)))}
+    terms = (t.as_coeff_Mul() for t in sp.Add.make_args(difference))
+    kept = (c * m for c, m in terms if not abs(c) <= _ROUNDING * size.get(m, 0))
+    return sp.Add(*kept)
 
 
 def _left_side(text: str) -> str:

@@ -16,7 +16,6 @@ from spiral.inference.likelihood.fitting import (
     WORTH,
     LikelihoodFit,
     fit_by_likelihood,
-    is_random_force_small,
     is_white,
     largest_force,
 )
@@ -35,8 +34,8 @@ def fit_with_noise_growth(
     """The study and its fit with noise that grows with its reading; nothing if not likelier.
 
     What a model lacks makes misses grow with the motion too, but leaves them coloured: they must be
-    white with such noise, and no large random force be wanted. It must be likelier beside the noise
-    that the fit has, too, before all starts are tried with it.
+    white with such noise, and no random force be wanted that is too large to explain anything. It
+    must be likelier beside the noise that the fit has, too, before all starts are tried with it.
     """
     growth = noise_growth_by_channel(fit.estimate)
     if not growth or any(r.growth for r in assembly.problem.records):
@@ -51,11 +50,8 @@ def fit_with_noise_growth(
     begun = replace(fit.state, noise=None, starts=None, spreads=None)
     grown = finish_fit(other, best_fit(other, begun, progress), progress)
     better = grown.log_likelihood > fit.log_likelihood + WORTH
-    return (
-        (other, grown)
-        if better and is_random_force_small(grown) and is_white(other, grown)
-        else None
-    )
+    calm = largest_force(grown.estimate.noise) <= problem.settings.random_limit
+    return (other, grown) if better and calm and is_white(other, grown) else None
 
 
 def refit_with_noise_growth(
