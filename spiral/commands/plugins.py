@@ -88,25 +88,34 @@ def check_plugins(request: Request, registry: Registry, tell: Tell) -> Outcome:
 
 
 def _chosen_system(overrides: Sequence[str], registry: Registry) -> tuple[System, dict[str, Any]]:
-    """The system that overrides choose, and its part of the configuration."""
+    """The system that overrides choose, and the configuration."""
     from spiral.io.config import build_system, compose
 
     config = compose(overrides, registry)
-    return build_system(config, registry), config["system"]
+    return build_system(config, registry), config
 
 
 def _check_model(
     overrides: Sequence[str], registry: Registry, tell: Tell
 ) -> tuple[Entry, list[Check]]:
-    """The system that overrides choose, its checks, under the name of its file if it is one."""
-    from spiral.io.testing import check_system
+    """The system that overrides choose, its checks, under the name of its file if it is one.
 
-    system, chosen = _chosen_system(overrides, registry)
+    Records that they name are read, and what was understood of them is told.
+    """
+    from spiral.io.config import build_sources
+    from spiral.io.testing import check_records, check_system
+
+    system, config = _chosen_system(overrides, registry)
+    chosen = config["system"]
     entry = registry.entry("system", chosen["name"])
     file = str(chosen.get("path") or "")
     tell(f"checking {file or chosen['name']}")
     named = replace(entry, name=file, file=file) if file else entry
-    return named, check_system(system)
+    checks = check_system(system)
+    if any(text.startswith(("record", "test")) for text in overrides):
+        sources = zip(("record", "test"), build_sources(config, registry), strict=True)
+        checks += [check_records(k, source, system) for k, source in sources if source is not None]
+    return named, checks
 
 
 def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, str]:

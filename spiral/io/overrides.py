@@ -16,6 +16,8 @@ from spiral.types.errors import ConfigError, did_you_mean
 
 _LONGEST, _DEEPEST = 20_000, 50  # letters, and brackets in one another
 _NAME = re.compile(r"[\w./\\%°-][\w ./\\%°^*:'()\[\]{}-]*")  # of a column or a file, units too
+_BARE = re.compile(r"(:\s*)([^\s,:{}\[\"'][^,:{}\"']*?)(?=\s*[,}])")  # a mapping's value, no quotes
+_PLAIN_VALUE = re.compile(r"[+-]?[\d.]+([eE][+-]?\d+)?|true|false|null", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ def _parse_with_hydra(texts: Sequence[str]) -> list[Any]:
 def _parse_one(parser: Any, text: str) -> Any:
     """An override; a name with brackets, which the grammar does not read, is a plain text.
 
-    So ``record.time=t [s]`` and ``record.path=run (2).csv`` mean what they say.
+    So ``record.time=t [s]`` and ``record.path=run (2).csv`` mean what they say, and so do the
+    values of a mapping, ``record.units={X: g/m^3}``.
     """
     from hydra.errors import HydraException
 
@@ -91,9 +94,16 @@ def _parse_one(parser: Any, text: str) -> Any:
         return parser.parse_override(text)
     except HydraException:
         key, _, value = text.partition("=")
-        if not _NAME.fullmatch(value):
+        if _NAME.fullmatch(value):
+            return parser.parse_override(f'{key}="{value}"')
+        if not value.startswith("{"):
             raise
-        return parser.parse_override(f'{key}="{value}"')
+        return parser.parse_override(f"{key}={_BARE.sub(_quote_text, value)}")
+
+
+def _quote_text(pair: re.Match[str]) -> str:
+    """A mapping's value in quotes, unless it is a number or a word of the grammar."""
+    return pair[0] if _PLAIN_VALUE.fullmatch(pair[2]) else f'{pair[1]}"{pair[2]}"'
 
 
 def _bracket_depth(text: str) -> int:

@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 from spiral.engine.filter.observer import Observer
 from spiral.engine.gate import Gate
 from spiral.inference.strategies.base import Strategy
-from spiral.io.conformance import derivatives, observers, physics, regression, simulation
+from spiral.io.conformance import (
+    declared,
+    derivatives,
+    observers,
+    physics,
+    regression,
+    simulation,
+)
 from spiral.io.registry import error_summary
 from spiral.types.derivative import Derivative
 from spiral.types.effect import (
@@ -116,6 +123,7 @@ def check_system(system: System) -> list[Check]:
             ("docstring", lambda: physics.docstring_equation(system), _SAY),
             ("names", lambda: physics.check_names(system), ""),
             ("parameters", lambda: physics.check_declared_units(system), _UNITS),
+            ("declares", lambda: declared.describe_declarations(system), ""),
             ("traces", lambda: physics.check_tracing(whole), _TRACE),
             (
                 "units of the seed",
@@ -129,6 +137,13 @@ def check_system(system: System) -> list[Check]:
             ("finite at rest", lambda: physics.check_finite_values(whole), _REST),
             ("simulates", lambda: simulation.check_simulation(system), _STABLE),
         ],
+    )
+
+
+def check_records(name: str, source: Source, system: System) -> Check:
+    """Whether the records of a study can be read, with what was understood; ``name`` its part."""
+    return _run_step(
+        name, system.plugin_name(), lambda: declared.describe_records(source, system), ""
     )
 
 

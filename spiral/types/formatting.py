@@ -86,8 +86,13 @@ def duration(seconds: float, digits: int = 2) -> str:
         (600.0, "min", 60.0),
     ):
         if abs(seconds) >= least:
-            return f"{number(seconds / size, digits)} {unit}"
-    return f"{seconds:.0f} s" if abs(seconds) >= 100 else f"{number(seconds, digits)} s"
+            return f"{_no_power(seconds / size, digits)} {unit}"
+    return f"{_no_power(seconds, digits)} s"
+
+
+def _no_power(value: float, digits: int) -> str:
+    """A number with so many digits, or all before its point: ``110``, not ``1.1e+02``."""
+    return f"{value:.0f}" if abs(value) >= 10**digits else number(value, digits)
 
 
 def extent(samples: int, rate: float) -> str:

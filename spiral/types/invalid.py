@@ -33,6 +33,7 @@ _AGREE = 4.0  # how many of these the neighbours may be off once one reading is 
 _MOST = 0.05  # share of spikes beyond which they are the signal itself
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
 _RUN, _TIES = 3, 4  # fewest readings of a run; of an extreme
+_STRETCH = 128  # readings over which noise of another size is told from a few spikes
 _APART = 3  # readings between close spikes, at most
 _FEWEST_RUNS, _REGULAR = 16, 0.95  # runs of a sensor that repeats, and share of one length
 _STEPS = 3.0  # steps of a converter that values jump by where it is not the steps that last
@@ -287,7 +288,7 @@ def _spike_mask(values: Array) -> Array:
         return spikes
     y = values.copy()
     rounding = float(np.sqrt(np.sum(_OWN**2) / 12)) * reading_step(y)
-    scale = max(_ROBUST * float(np.median(np.abs(_cubic_residual(y)[2:-2]))), rounding)
+    scale = np.maximum(_ROBUST * _usual_sizes(_cubic_residual(y)), rounding)
     last = np.ones(1)
     while last.any() and spikes.sum() <= _MOST * len(y):
         last = np.zeros(len(y), dtype=bool)
@@ -306,33 +307,49 @@ def _spike_mask(values: Array) -> Array:
     return spikes | _edge_spike_mask(y, scale)
 
 
-def _edge_spike_mask(values: Array, scale: float) -> Array:
+def _usual_sizes(residual: Array) -> Array:
+    """(samples,) median size of a residual over the record, or of the stretch around where larger.
+
+    Noise may grow with its reading: where it is loud a reading of its own kind is no spike.
+    """
+    size = np.abs(residual[2:-2])
+    stretches = np.array_split(size, max(len(size) // _STRETCH, 1))
+    medians = [float(np.median(part)) for part in stretches]
+    ends = np.cumsum([len(part) for part in stretches])
+    centres = ends - 0.5 * np.array([len(part) for part in stretches]) + 2
+    around = np.interp(np.arange(len(residual)), centres, medians)
+    return np.maximum(around, float(np.median(size)))
+
+
+def _edge_spike_mask(values: Array, scale: Array) -> Array:
     """Single readings among the four at either end that are far off the cubic through those inside.
 
     There no two neighbours on each side say what a reading should be. To do without one of them by
     mistake is harmless; where most of them are off, the signal moves so.
     """
     spikes = np.zeros(len(values), dtype=bool)
-    if not scale > 1e-9 * float(np.ptp(values)):  # without noise a step at an end is no less sharp
+    if not scale.min() > 1e-9 * float(
+        np.ptp(values)
+    ):  # without noise a step at an end is no less sharp
         return spikes
     y = values.copy()
-    for z, mask in ((y, spikes), (y[::-1], spikes[::-1])):
+    for z, mask, usual in ((y, spikes, scale), (y[::-1], spikes[::-1], scale[::-1])):
         for k in range(len(z) - 4, len(z)):
             expected = 4 * z[k - 1] - 6 * z[k - 2] + 4 * z[k - 3] - z[k - 4]
-            if abs(z[k] - expected) > _OUT * _EXTRAPOLATED * scale:
+            if abs(z[k] - expected) > _OUT * _EXTRAPOLATED * usual[k]:
                 z[k], mask[k] = expected, True
         if mask[-4:].sum() > 1:
             mask[-4:] = False
     return spikes
 
 
-def _candidate_spikes(off: Array, spikes: Array, scale: float) -> list[int]:
+def _candidate_spikes(off: Array, spikes: Array, scale: Array) -> list[int]:
     """Readings far from the cubic through their neighbours, farther than the two on each side."""
     far = np.flatnonzero((np.abs(off) > _OUT * scale) & ~spikes)
     return [int(k) for k in far if np.abs(off[k]) >= np.abs(off[max(k - 2, 0) : k + 3]).max()]
 
 
-def _spike_sizes(values: Array, at: Sequence[int], scale: float) -> Array | None:
+def _spike_sizes(values: Array, at: Sequence[int], scale: Array) -> Array | None:
     """How far the readings ``at`` are from the cubics through their neighbours.
 
     None where the neighbours do not agree without them, or where one of them is not far off itself.
@@ -348,8 +365,9 @@ def _spike_sizes(values: Array, at: Sequence[int], scale: float) -> Array | None
     near = {p + d for p in places for d in (-2, -1, 1, 2)} - set(places)
     left = np.abs(_cubic_residual(around))[sorted(near)]
     # another spike four readings on leaves one neighbour off
-    agree = np.sum(left > _AGREE * scale) <= 1 and np.median(left) <= _AGREE * scale
-    return amounts if agree and np.all(np.abs(amounts) > _OUT * scale) else None
+    usual = float(np.max(scale[np.asarray(at)]))
+    agree = np.sum(left > _AGREE * usual) <= 1 and np.median(left) <= _AGREE * usual
+    return amounts if agree and np.all(np.abs(amounts) > _OUT * usual) else None
 
 
 def _cubic_residual(values: Array) -> Array:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import spiral.io.writing
@@ -162,7 +163,7 @@ def test_several_plugins_are_checked_at_once(capsys):
         "gravity_torque on pendulum", "gravity_torque on robot",
     }  # fmt: skip
     assert main(["check", "pendulum"]) == 0
-    assert "11 of 11 checks passed" in capsys.readouterr().out
+    assert "12 of 12 checks passed" in capsys.readouterr().out
 
 
 def test_a_model_is_checked_by_its_file_or_as_it_is_chosen(capsys, place):
@@ -173,10 +174,35 @@ def test_a_model_is_checked_by_its_file_or_as_it_is_chosen(capsys, place):
     for words in (["bench.yaml"], ["system=bench.yaml"], ["pendulum", "system.torque_unit=N*m"]):
         code, result = run_json(capsys, "check", *words)
         assert (code, result["passed"]) == (0, True)
-        assert len(result["plugins"][0]["checks"]) == 11
+        assert len(result["plugins"][0]["checks"]) == 12
+    told = {c["check"]: c["seen"] for c in result["plugins"][0]["checks"]}
+    assert "torque" in told["declares"]
     assert run_json(capsys, "check", "bench.yaml")[1]["plugins"][0]["name"] == "bench.yaml"
     assert "terms of one unit" in run_json(capsys, "check", "wrong.yaml")[1]["error"]["expected"]
     assert "no.yaml" in run_json(capsys, "check", "no.yaml")[1]["error"]["given"]
+
+
+def test_records_that_are_named_are_read_and_told(capsys, place):
+    """A file that is not there, or a column of another name, is no check that passed."""
+    text = "equations: [\"m*x'' + c*x' + k*x = F\"]\nstates: {x: {unit: m, start: 0.5}}\n"
+    text += "inputs: {F: {unit: N, interpolation: zero_order}}\nobserved: [x]\n"
+    text += "parameters: {m: 2 kg, c: 1 N*s/m, k: {value: 400, unit: N/m}}\nfree: [k]\n"
+    (place / "bench.yaml").write_text(text)
+    rows = [f"{0.01 * k:.2f},{np.sin(0.1 * k):.6f},{k % 7}" for k in range(200)]
+    (place / "run.csv").write_text("t,x,F\n" + "\n".join(rows) + "\n")
+    words = ["system=bench.yaml", "record.path=run.csv", "record.time=t"]
+    code, result = run_json(capsys, "check", *words)
+    told = {c["check"]: c["seen"] for c in result["plugins"][0]["checks"]}
+    assert code == 0
+    assert told["record"].startswith("run.csv: 200 samples, 2 s, 100 Hz. ")
+    assert told["declares"] == (
+        "free: k 400; known: m 2, c 1; begins near: x 0.5; F: held until the next sample"
+    )
+    code, result = run_json(capsys, "check", *words[:2], "record.time=zeit")
+    assert code == 2
+    assert "zeit" in result["error"]["given"]
+    code, result = run_json(capsys, "check", words[0], "record.path=ran.csv", words[2])
+    assert (code, result["error"]["try"]) == (2, "did you mean run.csv?")
 
 
 def test_unknown_and_unusable_names_are_told(capsys, place):

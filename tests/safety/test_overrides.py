@@ -14,6 +14,19 @@ REGISTRY = load_registry(local=False)
 FILE = "file:"  # an address of the disk
 
 
+@pytest.mark.parametrize(
+    ("given", "value"),
+    [
+        ("record.units={T: degC, X: g/m^3}", {"T": "degC", "X": "g/m^3"}),
+        ("record.channels={x: t [s], y: b^2}", {"x": "t [s]", "y": "b^2"}),
+        ("a={b: {c: g/m^3}, d: 2.5e-3, e: [1,2]}", {"b": {"c": "g/m^3"}, "d": 2.5e-3, "e": [1, 2]}),
+        ("record.time=t [s]", "t [s]"),
+    ],
+)
+def test_values_that_the_grammar_does_not_read_are_text_also_in_a_mapping(given, value):
+    assert parse_overrides((given,))[0].value == value
+
+
 @pytest.mark.hostile("overrides")
 @pytest.mark.parametrize(
     "given",

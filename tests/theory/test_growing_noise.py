@@ -39,8 +39,9 @@ def measured(seed, pushed=0.0):
         dose[begin : begin + 20] = rng.uniform(3.0, 8.0)
     states = [np.array([0.2, 0.2])]
     for u in dose[:-1]:
+        more = pushed * rng.normal() if pushed else 0.0
 
-        def rate(t, x, u=u, more=pushed * rng.normal() if pushed else 0.0):
+        def rate(t, x, u=u, more=more):
             exchanged = TRUE["k12"] * x[0] - TRUE["k21"] * x[1] + more
             return [u - exchanged - TRUE["ke"] * x[0], exchanged]
 

@@ -35,6 +35,19 @@ def test_spikes_are_found_where_they_are(seed):
     assert len(found) >= 0.9 * len(at)
 
 
+def test_what_noise_does_where_it_is_loud_is_no_spike():
+    """A concentration that is read within 5 % of itself, over two decades: and spikes in it are."""
+    rng = np.random.default_rng(5)
+    level = np.exp(2.3 * np.sin(2 * np.pi * np.arange(N) / N))
+    values = level * (1 + 0.05 * rng.normal(size=N))
+    assert "spike" not in kinds(values)
+    at = np.arange(60, N, 197)
+    values[at] += 2 * level[at] * rng.choice([-1, 1], len(at))
+    found = np.flatnonzero(kinds(values)["spike"])
+    assert set(found) <= set(at)
+    assert len(found) >= 0.9 * np.sum(level[at] > 0.5)
+
+
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.5])
 def test_a_coarse_converter_s_steps_are_measured_and_are_no_spikes(share):
     """Also where a text rounds them; values of any other kind have no step."""

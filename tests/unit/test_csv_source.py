@@ -126,7 +126,7 @@ def test_names_that_agree_may_be_left_out_beside_others_and_in_units(tmp_path):
 
 
 @pytest.mark.parametrize("time", ["t", "t [s]", "t (s)"])
-@pytest.mark.parametrize("header", ["t,a,f", "t [s],a [m],f [N]"])
+@pytest.mark.parametrize("header", ["t,a,f", "t [s],a [m],f [N]", "t [s],a [m],f [1]"])
 def test_a_column_is_found_with_its_unit_and_without(tmp_path, time, header):
     path = write(tmp_path / "a.csv", columns(), header)
     assert load(path=path, time=time, channels={"x": "a [m]"})[0].samples == COUNT

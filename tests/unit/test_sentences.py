@@ -37,8 +37,8 @@ def test_no_text_has_no_points():
 
 
 def test_times_are_told_in_a_unit_in_which_they_are_small():
-    told = [duration(s) for s in (0.0123, 450, 5700, 23_000, 340_000)]
-    assert told == ["0.012 s", "450 s", "95 min", "6.4 h", "3.9 d"]
+    told = [duration(s) for s in (0.0123, 450, 5700, 23_000, 340_000, 2.3e8)]
+    assert told == ["0.012 s", "450 s", "95 min", "6.4 h", "3.9 d", "2662 d"]
 
 
 def test_slow_records_tell_how_often_they_are_read():

@@ -90,7 +90,8 @@ class Table:
 
         ``force`` is found in a file with ``force [N]``, and ``force [N]`` in one with ``force``.
 
-        ``x_rate`` and ``x_acceleration`` may stand as equations write them, ``x'`` and ``x''``.
+        ``x_rate`` and ``x_acceleration`` may stand as equations write them, ``x'`` and ``x''``. A
+        ``[1]`` behind the only column of a name is the unit of a pure number, not an index.
         """
         for word in filter(None, (name, with_primes(name))):
             if word in self.values:
@@ -99,6 +100,10 @@ class Table:
             fitting = (c for c in self.values if c in self.units and named.fullmatch(c))
             if column := next(fitting, ""):
                 return column
+            numbered = re.compile(rf"{re.escape(word)}\s*[\[(](\d+)[\])]\s*")
+            numbers = {m[1]: c for c in self.values if (m := numbered.fullmatch(c))}
+            if tuple(numbers) == ("1",):
+                return numbers["1"]
         bare = _UNIT_BEHIND.sub("", name)
         return self.find_column(bare) if bare != name else ""
 
