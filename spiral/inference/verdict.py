@@ -376,9 +376,10 @@ def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], setting
         )
     if not named and _explain_little(rounds, settings):
         explains = "explains" if len(admitted) == 1 else "explain"
+        words = _VERDICTS["unknown_structure"] if shortfalls(last, settings) else UNTOLD
         return (
-            f"{_VERDICTS['unknown_structure']}. The model now contains {', '.join(admitted)}, "
-            f"which {explains} little of it: {change}."
+            f"{words}. The model now contains {', '.join(admitted)}, which {explains} little of "
+            f"it: {change}."
         )
     if not named:
         return f"The model now contains {', '.join(admitted)}: {change}."

@@ -268,6 +268,7 @@ def test_random_forces_that_are_to_explain_the_rest_excuse_no_effect_that_does_n
     given, words, _ = said(rounds(pushed, seed), "whiteness")
     assert given == verdict
     assert ("explains little of it" in words) == (verdict == "unknown_structure")
+    assert words.startswith(UNTOLD) == (verdict == "unknown_structure")
 
 
 def test_a_fit_that_did_not_converge_is_not_judged():
