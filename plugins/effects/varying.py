@@ -2,7 +2,10 @@
 
 v is what the parameter follows, a state, an input or time: a conductance grows with the flow, a
 resistance with temperature, a stiffness sinks with time, a damper is set by its current. The factor
-is one where v is zero (of a power where v is its unit): a free parameter is the value there.
+is one at the reference r (of a power where v is its unit), which a free parameter is the value at.
+The reference is zero, where the records come near it. Of what is far from zero all along (a
+temperature in K, a pressure) it is the middle of what they cover, and where the parameter is known
+it is fitted: it tells at which v the value that was given holds.
 """
 
 from __future__ import annotations
@@ -11,32 +14,42 @@ from spiral.math import exp, length, log, positive, tanh
 from spiral.types.effect import ParameterEffect
 from spiral.types.parameter import Parameter
 
+_REFERENCE = Parameter("reference", "position", start=0.0, role="shape", grid=(1.0,), centre=True)
+
 
 class LinearChange(ParameterEffect):
-    """A parameter that changes in proportion to what it follows: value = p (1 + a v).
+    """A parameter that changes in proportion to what it follows: value = p (1 + a (v - r)).
 
     The first term of any smooth dependence: resistance of copper with temperature, a spring that
     ages with time, a damper set by a current.
     """
 
-    parameters = (Parameter("slope", "1/position"),)
+    parameters = (Parameter("slope", "1/position"), _REFERENCE)
 
     def factor(self, at, u, p):
-        """1 + a v."""
+        """1 + a (v - r)."""
         (v,) = at.position
-        return 1 + p.slope * v
+        return 1 + p.slope * (v - p.reference)
 
 
 class QuadraticChange(ParameterEffect):
-    """A parameter that changes by a parabola of what it follows: value = p (1 + a v + b v^2)."""
+    """A parameter that changes by a parabola of what it follows: value = p (1 + a w + b w^2).
+
+    w = v - r.
+    """
 
     special = ("linear_change",)
-    parameters = (Parameter("slope", "1/position"), Parameter("curvature", "1/position^2"))
+    parameters = (
+        Parameter("slope", "1/position"),
+        Parameter("curvature", "1/position^2"),
+        _REFERENCE,
+    )
 
     def factor(self, at, u, p):
-        """1 + a v + b v^2."""
+        """1 + a w + b w^2."""
         (v,) = at.position
-        return 1 + p.slope * v + p.curvature * v * v
+        w = v - p.reference
+        return 1 + p.slope * w + p.curvature * w * w
 
 
 class PowerChange(ParameterEffect):
@@ -58,32 +71,51 @@ class PowerChange(ParameterEffect):
 
 
 class ExponentialChange(ParameterEffect):
-    """A parameter that grows exponentially with what it follows: value = p exp(b v).
+    """A parameter that grows exponentially with what it follows: value = p exp(b (v - r)).
 
-    A reaction's rate with temperature (Arrhenius 1889, over a narrow range), viscosity, decay.
+    Viscosity, decay, a reaction's rate with temperature over a narrow range.
     """
 
-    parameters = (Parameter("rate", "1/position"),)
+    parameters = (Parameter("rate", "1/position"), _REFERENCE)
 
     def factor(self, at, u, p):
-        """exp(b v)."""
+        """exp(b (v - r))."""
         (v,) = at.position
-        return exp(p.rate * v)
+        return exp(p.rate * (v - p.reference))
+
+
+class ArrheniusChange(ParameterEffect):
+    """A parameter that is activated by temperature: value = p exp(A (1/r - 1/v)), v in K.
+
+    A reaction's rate (Arrhenius 1889), a diffusion, with A < 0 a viscosity or the resistance of an
+    electrolyte or a thermistor. A is the activation energy over the gas constant. It is tried where
+    v stays far from zero.
+    """
+
+    parameters = (
+        Parameter("activation", "K"),
+        Parameter("reference", "position", lower=0.0, role="shape", grid=(1.0,), centre=True),
+    )
+
+    def factor(self, at, u, p):
+        """exp(A (1/r - 1/v)), 1/v rounded within 1e-4 r of zero."""
+        (v,) = at.position
+        return exp(p.activation * (1 / p.reference - v / (v**2 + (1e-4 * p.reference) ** 2)))
 
 
 class InverseChange(ParameterEffect):
-    """A parameter whose inverse changes in proportion to what it follows: value = p / (1 + a v).
+    """A parameter whose inverse is linear in what it follows: value = p / (1 + a (v - r)).
 
     A rope's stiffness with its free length, a force over a gap, compliances in series, a reaction
     that is inhibited (1 + S/K_i). The divisor is rounded above zero (``spiral.math.positive``).
     """
 
-    parameters = (Parameter("slope", "1/position"),)
+    parameters = (Parameter("slope", "1/position"), _REFERENCE)
 
     def factor(self, at, u, p):
-        """1 / (1 + a v)."""
+        """1 / (1 + a (v - r))."""
         (v,) = at.position
-        return 1 / positive(1 + p.slope * v)
+        return 1 / positive(1 + p.slope * (v - p.reference))
 
 
 class InverseQuadraticChange(ParameterEffect):
@@ -102,18 +134,19 @@ class InverseQuadraticChange(ParameterEffect):
 
 
 class SaturatingChange(ParameterEffect):
-    """A parameter that changes up to a limit: value = p (1 + a tanh(v/l))."""
+    """A parameter that changes up to a limit: value = p (1 + a tanh((v - r)/l))."""
 
     special = ("linear_change",)
     parameters = (
         Parameter("change", ""),
         Parameter("scale", "position", lower=0.0, role="shape", grid=(0.1, 0.3)),
+        _REFERENCE,
     )
 
     def factor(self, at, u, p):
-        """1 + a tanh(v/l)."""
+        """1 + a tanh((v - r)/l)."""
         (v,) = at.position
-        return 1 + p.change * tanh(v / p.scale)
+        return 1 + p.change * tanh((v - p.reference) / p.scale)
 
 
 class SwitchedChange(ParameterEffect):

@@ -43,6 +43,9 @@ class Parameter:
     grid : of a shape, the values tried while its effect is absent, as shares of the largest
         port position or velocity (by its unit) that the record shows; of another unit (a
         frequency), the values themselves.
+    centre : of a shape with a grid, its scale is the middle of what the port's position covers,
+        where that is farther from zero than it is wide, else zero; without a ``start`` the effect
+        is then not tried.
     most : of a shape with a grid, a value in the unit of its grid, beyond which the effect is no
         longer what its name says (a corner rounded over the whole motion). It is told with such a
         value only where it leaves nothing but noise.
@@ -69,6 +72,7 @@ class Parameter:
     spectrum: bool = False
     loose: bool = False
     most: float | None = None
+    centre: bool = False
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

@@ -75,7 +75,8 @@ def test_the_traced_model_is_the_system_with_the_parameter_times_the_factor():
     at = dict(zip(varied.keys, varied.p, strict=True))
     x = dict(zip(varied.states, varied.x, strict=True))
     named = at["system.b"] * x["i"] + at["system.d"] * x["x_rate"] ** 2
-    acting = at["system.R"] * (1 + at["linear_change@R-f.slope"] * named)
+    beyond = named - at["linear_change@R-f.reference"]
+    acting = at["system.R"] * (1 + at["linear_change@R-f.slope"] * beyond)
     swap = {s: at[k] for k, s in zip(plain.keys, plain.p, strict=True)} | {
         plain.p[plain.keys.index("system.R")]: acting
     }
@@ -89,7 +90,7 @@ def test_the_slope_along_a_motion_is_the_derivative_of_the_traced_model():
     values = {"mu": 0.3, "K": 90.0, "a": 2.0}
     effect = LinearChange(port="mu-light")
     traced = trace(system, (effect,))
-    rows = [[*x, *u, *values.values(), 0.0] for x, u in zip(states, inputs, strict=True)]
+    rows = [[*x, *u, *values.values(), 0.0, 0.0] for x, u in zip(states, inputs, strict=True)]
 
     def along(key, scale=1.0):
         symbol = traced.p[traced.keys.index(key)]

@@ -8,6 +8,7 @@ import sympy as sp
 from scipy.linalg import expm
 from spiral_plugins.effects.learned import LearnedChange
 from spiral_plugins.effects.varying import (
+    ArrheniusChange,
     ExponentialChange,
     InverseQuadraticChange,
     LinearChange,
@@ -18,6 +19,7 @@ from spiral_plugins.effects.varying import (
 )
 
 import spiral
+from spiral.inference.evidence.scales import largest_port_motion, states_along_records
 from spiral.inference.problem import silent
 from spiral.inference.unknown.forcecurve import _share_of_mean
 from spiral.io.export.equation import equation_text
@@ -31,12 +33,25 @@ from tests.scenes import registry
 OSCILLATOR = registry().make("system", "oscillator")
 SAMPLES, STEP, HELD = 1000, 5.0, 40  # samples, s, samples for which power and flow stay
 FORMS = [
-    (LinearChange, {"slope": 0.3}, lambda v: 1 + 0.3 * v),
-    (QuadraticChange, {"slope": 0.3, "curvature": -0.1}, lambda v: 1 + 0.3 * v - 0.1 * v * v),
+    (LinearChange, {"slope": 0.3, "reference": 0.5}, lambda v: 1 + 0.3 * (v - 0.5)),
+    (
+        QuadraticChange,
+        {"slope": 0.3, "curvature": -0.1, "reference": 0.0},
+        lambda v: 1 + 0.3 * v - 0.1 * v * v,
+    ),
     (PowerChange, {"exponent": 0.8, "unit": 2.0}, lambda v: np.hypot(v / 2, 0.01) ** 0.8),
-    (ExponentialChange, {"rate": -0.4}, lambda v: np.exp(-0.4 * v)),
+    (ExponentialChange, {"rate": -0.4, "reference": 1.0}, lambda v: np.exp(-0.4 * (v - 1.0))),
+    (
+        ArrheniusChange,
+        {"activation": 2.0, "reference": 1.5},
+        lambda v: np.exp(2 * (1 / 1.5 - 1 / v)),
+    ),
     (InverseQuadraticChange, {"curvature": 0.4}, lambda v: 1 / (1 + 0.4 * v * v)),
-    (SaturatingChange, {"change": 0.5, "scale": 0.7}, lambda v: 1 + 0.5 * np.tanh(v / 0.7)),
+    (
+        SaturatingChange,
+        {"change": 0.5, "scale": 0.7, "reference": 0.2},
+        lambda v: 1 + 0.5 * np.tanh((v - 0.2) / 0.7),
+    ),
     (SwitchedChange, {"change": 0.5, "point": 1.0, "width": 1e-3}, lambda v: 1 + 0.5 * (v > 1)),
 ]
 
@@ -88,7 +103,7 @@ def test_the_factor_is_its_equation_and_one_where_nothing_changes(kind, values, 
     at = SimpleNamespace(position=(v,))
     still = {p.name: 0.0 if p.role == "amplitude" else values[p.name] for p in kind.parameters}
     np.testing.assert_allclose(
-        kind().factor(at, None, SimpleNamespace(**values)), factor(v), rtol=1e-6, atol=1e-9
+        kind().factor(at, None, SimpleNamespace(**values)), factor(v), rtol=1e-5, atol=1e-9
     )
     np.testing.assert_allclose(
         kind().factor(at, None, SimpleNamespace(**still)), np.ones(60), rtol=0, atol=0
@@ -99,7 +114,8 @@ def test_the_traced_model_is_the_system_with_the_parameter_times_the_factor():
     system = heater()
     plain, varied = trace(system, ()), trace(system, (LinearChange(port="h-Tc"),))
     at = dict(zip(varied.keys, varied.p, strict=True))
-    acting = at["system.h"] * (1 + at["linear_change@h-Tc.slope"] * varied.x[0])
+    beyond = varied.x[0] - at["linear_change@h-Tc.reference"]
+    acting = at["system.h"] * (1 + at["linear_change@h-Tc.slope"] * beyond)
     swap = {s: at[k] for k, s in zip(plain.keys, plain.p, strict=True)} | {
         plain.p[plain.keys.index("system.h")]: acting
     }
@@ -142,8 +158,8 @@ def test_the_slope_along_a_motion_is_the_derivative_of_the_traced_model():
     symbols = [*traced.x, *traced.u, *traced.p]
     amplitude = traced.p[traced.keys.index(f"{effect.label}.rate")]
     h = traced.p[traced.keys.index("system.h")]
-    rows = [[*x, *u, *values.values(), 0.0] for x, u in zip(states, inputs, strict=True)]
-    assert [k.rpartition(".")[2] for k in traced.keys] == [*values, "rate"]
+    rows = [[*x, *u, *values.values(), 0.0, 0.3] for x, u in zip(states, inputs, strict=True)]
+    assert [k.rpartition(".")[2] for k in traced.keys] == [*values, "rate", "reference"]
 
     def along(symbol, scale=1.0):
         slopes = sp.lambdify(symbols, [sp.diff(r, symbol) for r in traced.rate], "numpy")
@@ -153,7 +169,7 @@ def test_the_slope_along_a_motion_is_the_derivative_of_the_traced_model():
         system, states, inputs, along(h), states[:, 1:], values,
         by_parameter={"system.h": (along(h, 30.0), np.zeros((7, 1)))},
     )  # fmt: skip
-    pushes, readings = signatures(motion, effect, {})
+    pushes, readings = signatures(motion, effect, {"reference": 0.3})
     np.testing.assert_allclose(pushes[:, :, 0], along(amplitude), rtol=1e-6)
     assert not readings.any()
 
@@ -164,8 +180,63 @@ def test_every_form_stands_at_every_parameter_and_what_it_may_follow():
     assert places == {
         f"{p}-{v}" for p in ("h", "g", "Cc", "Cw") for v in ("Tc", "Tw", "P", "q", "time")
     }
+    warm = {e.port for e in at_every_place(system, ArrheniusChange()) if fits(system, e)}
+    assert warm == {f"{p}-{v}" for p in ("h", "g", "Cc", "Cw") for v in ("Tc", "Tw")}
     labels = {e.label for e in registry().candidates(system, everywhere=True)}
     assert not any("_change@" in label for label in labels)  # no candidates of the first rounds
+
+
+def winding(lowest):
+    """A winding that warms a case, in K above ``lowest``: the winding's temperature is hidden."""
+    return spiral.system(
+        ["Cw*Tw' = R*I^2 - g*(Tw - Tc)", "Cc*Tc' = g*(Tw - Tc) - h*(Tc - Ta)"],
+        states={"Tw": {"unit": "K", "like": "Tc"}, "Tc": "K"}, observed=["Tc"],
+        inputs={"I": {"unit": "A", "interpolation": "zero_order"}, "Ta": "K"},
+        parameters={"Cw": (80.0, "J/K"), "Cc": (400.0, "J/K"), "g": (1.3, "W/K"),
+                    "h": (0.6, "W/K"), "R": (1.2, "ohm")},
+        free=["Cc", "g", "h"],
+    )  # fmt: skip
+
+
+def warmed(system, lowest, samples=1500):
+    """Read every 5 s: R = 1.2 (1 + 3.9e-3 (Tw - 20 degC)), noise of 0.05 K."""
+    rng = np.random.default_rng(1)
+    current = np.repeat(rng.choice([0, 3, 5, 7, 8.0], samples // 50), 50)
+    outside = 293 + 0.5 * np.sin(np.arange(samples) / 300) - lowest
+    x, states = np.full(2, 293 - lowest), []
+    for u, ta in zip(current, outside, strict=True):
+        states.append(x)
+        for _ in range(10):
+            r = 1.2 * (1 + 3.9e-3 * (x[0] - 293 + lowest))
+            passed = 1.3 * (x[0] - x[1])
+            rate = np.array([(r * u**2 - passed) / 80, (passed - 0.6 * (x[1] - ta)) / 420])
+            x = x + 0.5 * rate
+    seen = np.array(states)[:, 1] + 0.05 * rng.normal(size=samples)
+    return make_record(
+        system, "winding", 5.0 * np.arange(samples), {"Tc": seen}, {"I": current, "Ta": outside}
+    )
+
+
+@pytest.mark.parametrize(("lowest", "middle"), [(0.0, pytest.approx(400, rel=0.15)), (293.0, 0.0)])
+def test_what_is_far_from_zero_is_counted_from_its_middle(lowest, middle):
+    """A temperature in K is, one above the surroundings is not: a known value holds at its zero."""
+    system = winding(lowest)
+    record = warmed(system, lowest)
+    model = seed_model(system, values=system.defaults)
+    largest = largest_port_motion(system, (record,), states_along_records(model, (record,)))
+    assert largest["parameter R with Tw.middle"] == middle
+    assert largest["parameter R with I.middle"] == 0.0
+
+
+@pytest.mark.slow
+def test_a_known_resistance_tells_at_which_temperature_it_holds():
+    """Copper, given at 20 degC, along a winding that reaches 280 degC and that nobody measures."""
+    system = winding(0.0)
+    run = spiral.discover(warmed(system, 0.0), system, progress=silent)
+    assert run.missing == ("linear_change@R-Tw",)
+    told = run.model.estimates()["linear_change@R-Tw"]
+    assert abs(told["slope"].estimate - 3.9e-3) < 3 * told["slope"].se
+    assert abs(told["reference"].estimate - 293) < 3 * told["reference"].se
 
 
 @pytest.mark.slow

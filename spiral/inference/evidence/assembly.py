@@ -21,7 +21,7 @@ from spiral.engine.study import ORIGIN, CompiledStudy, ParameterColumns, columns
 from spiral.inference.evidence.excerpt import Excerpt
 from spiral.inference.evidence.scales import (
     covering_samples,
-    is_usable_scale,
+    is_tried_scale,
     largest_port_motion,
     shape_scale,
     states_along_records,
@@ -206,7 +206,8 @@ def _untestable_reason(model: Model, effect: Effect, largest: Mapping[str, float
     """Why these records cannot test an effect: no motion at its port, or too low a sample rate."""
     port = model.system.place(effect)
     for parameter in effect.parameters:
-        if parameter.grid and not is_usable_scale(shape_scale(parameter, largest, port)):
+        size = shape_scale(parameter, largest, port)
+        if parameter.grid and not is_tried_scale(parameter, size):
             return (
                 f"nothing moves at {port.name} in these records: its {parameter.name} has no scale"
             )
@@ -263,7 +264,7 @@ def _shape_trial(
     """A shape's value and among how many it was looked for; 0 where the records cannot show it."""
     size = shape_scale(parameter, largest, port)
     value = share * size
-    if parameter.grid and not is_usable_scale(size):
+    if parameter.grid and not is_tried_scale(parameter, size):
         return value, 0
     if not parameter.search:
         return value, 1

@@ -79,9 +79,19 @@ def largest_port_motion(
             paths = expected if unseen and expected else along
             largest[f"{port.name}.velocity"] = _fastest_level(port, traced, records, paths)
     unseen = np.array([symbol in hidden for symbol in traced.x])
-    reached = _largest_variables(system, records, np.where(unseen, inferred, measured))
-    varied = {f"{p.name}.position": reached.get(p.against, 0.0) for p in system.varied}
-    return {**largest, **varied, **_largest_signals(system, records)}
+    followed = _followed_variables(system, records, np.where(unseen, inferred, measured))
+    for port in system.varied:
+        values = followed.get(port.against, np.zeros(1))
+        largest[f"{port.name}.position"] = float(np.abs(values).max())
+        largest[f"{port.name}.middle"] = _middle_far_from_zero(values)
+    return {**largest, **_largest_signals(system, records)}
+
+
+def _middle_far_from_zero(values: Array) -> float:
+    """The middle of values that lie farther from zero than apart (temperatures in K), else zero."""
+    low, high = float(values.min()), float(values.max())
+    far = min(abs(low), abs(high)) > high - low > 0 and low * high > 0
+    return 0.5 * (low + high) if far else 0.0
 
 
 def _largest_level(system: System, port: Port, records: Sequence[Record], states: Array) -> float:
@@ -126,10 +136,10 @@ def _largest_signals(system: System, records: Sequence[Record]) -> dict[str, flo
     return largest
 
 
-def _largest_variables(
+def _followed_variables(
     system: System, records: Sequence[Record], states: Array
-) -> dict[str, float]:
-    """Largest |value| of each state (samples, n), each input, each auxiliary, and time."""
+) -> dict[str, Array]:
+    """Values of each state (samples, n), each input, each auxiliary, and the largest times."""
     followed = {s.name: states[:, i] for i, s in enumerate(system.states)}
     followed |= {i.name: np.concatenate([r.inputs[i.name] for r in records])
                  for i in system.inputs if all(i.name in r.inputs for r in records)}  # fmt: skip
@@ -141,7 +151,7 @@ def _largest_variables(
             along = {a.name: auxiliary_along(system, a.name, states, inputs, first)
                      for a in system.auxiliaries}  # fmt: skip
         followed |= {name: np.nan_to_num(values) for name, values in along.items()}
-    return {name: float(np.abs(values).max()) for name, values in followed.items()}
+    return followed
 
 
 def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) -> float:
@@ -151,6 +161,8 @@ def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) 
     """
     if not parameter.grid:
         return parameter.start or 1.0
+    if parameter.centre:
+        return largest.get(f"{port.name}.middle", 0.0)
     if parameter.unit == "s":
         farthest, fastest = (largest[f"{port.name}.{kind}"] for kind in ("position", "velocity"))
         return farthest / fastest if fastest > 0 else np.inf
@@ -188,7 +200,7 @@ def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model
                 ]
                 continue
             size = shape_scale(shape, largest, model.system.place(effect))
-            if is_usable_scale(size):
+            if is_tried_scale(shape, size):
                 middle = shape.grid[len(shape.grid) // 2]
                 values[f"{effect.label}.{shape.name}"] = middle * size
     return replace(model, values={**model.values, **values}), tuple(values)
@@ -202,9 +214,9 @@ def _lacks_value(model: Model, effect: Effect, parameter: Parameter) -> bool:
     )
 
 
-def is_usable_scale(size: float) -> bool:
-    """Whether a scale is a positive number."""
-    return bool(np.isfinite(size) and size > 0)
+def is_tried_scale(shape: Parameter, size: float) -> bool:
+    """Whether a shape with a grid has values at this scale: a positive one, or a centre at zero."""
+    return bool(np.isfinite(size) and size > 0) or (shape.centre and shape.start is not None)
 
 
 def covering_samples(states: Array, count: int = 64) -> Array:
