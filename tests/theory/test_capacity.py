@@ -91,6 +91,7 @@ def leaking(seed, leak):
     return make_record(system, "cylinder", time, read, u), system
 
 
+@pytest.mark.slow
 def test_a_leak_past_a_piston_is_one_flow_over_two_volumes():
     """Rates at rest are the same mass flow over either volume; nothing else is missing."""
     run = spiral.discover(

@@ -58,6 +58,7 @@ def test_a_rate_that_follows_the_temperature_is_named_beside_a_random_feed():
     assert "random flow" in run.summary
 
 
+@pytest.mark.slow
 def test_a_change_that_leads_all_candidates_is_asked_with_them():
     """It passes in the first round, among whose suggestions are forms of the same change."""
     said = []
@@ -74,7 +75,7 @@ def test_beside_a_change_that_explains_all_candidates_are_not_raced_to_their_end
     assert not any("trying candidates" in m for m in said)
 
 
-@pytest.mark.parametrize("seed", [10, 12])
+@pytest.mark.parametrize("seed", [pytest.param(10, marks=pytest.mark.slow), 12])
 def test_no_parameter_follows_anything_where_only_the_feed_varies(seed):
     assert not study(seed, 0.0).missing
 
@@ -98,6 +99,7 @@ def swinging(seed, samples=3000, rate=200.0):
     )
 
 
+@pytest.mark.slow
 def test_a_spring_that_a_parabola_of_stiffness_stands_for_keeps_its_name():
     """k (1 + a x + b x^2) is a quadratic and a cubic spring: two amplitudes, which show no lead.
 

@@ -149,10 +149,31 @@ def test_a_spring_is_no_driver_of_the_mass_at_its_other_end():
 @pytest.mark.parametrize(
     ("record", "system", "name", "key", "truth"),
     [
-        (lambda: turned(emf=EMF), motor, "state_coupling@i-w", "gain", -EMF / L),
-        (lambda: turned(crosstalk=WIRED), motor, "input_coupling@i-load", "gain", -WIRED / L),
+        pytest.param(
+            lambda: turned(emf=EMF),
+            motor,
+            "state_coupling@i-w",
+            "gain",
+            -EMF / L,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            lambda: turned(crosstalk=WIRED),
+            motor,
+            "input_coupling@i-load",
+            "gain",
+            -WIRED / L,
+            marks=pytest.mark.slow,
+        ),
         (lambda: warmed(SUN), body, "cross_sensitivity@T-sun", "gain", SUN),
-        (lambda: heated(current=1.2), coil, "quadratic_state_coupling@T-i", "gain", 1.2 / 30),
+        pytest.param(
+            lambda: heated(current=1.2),
+            coil,
+            "quadratic_state_coupling@T-i",
+            "gain",
+            1.2 / 30,
+            marks=pytest.mark.slow,
+        ),
         (lambda: heated(field=9.0), coil, "quadratic_input_coupling@T-E", "gain", 9.0 / 30),
     ],
     ids=["back-EMF", "crosstalk", "thermometer in the sun", "Joule heat", "heat of a field"],
@@ -171,6 +192,7 @@ def test_nothing_is_missing_where_nothing_is():
         assert (run.verdict, run.missing) == ("nothing_missing", ())
 
 
+@pytest.mark.slow
 def test_a_known_value_that_is_off_is_named_with_what_it_is():
     """9000 J/K and 12 W/K were given and believed; a loss to the room looks like the latter."""
     run = spiral.discover(warmed(0.0), body(free=()), holdout=0.3)

@@ -143,6 +143,9 @@ def test_the_equation_shows_a_parameter_where_a_reading_has_it_and_no_rounding()
     text = equation_text(seed_model(cell).add(LinearChange(port="R-T"), {}))
     readings = text[text.index("reading of U") : text.index("reading of T")]
     assert "linear_change@R-T" in readings
+    values = {"arrhenius_change@R-T.activation": -2000.0, "arrhenius_change@R-T.reference": 300.0}
+    warm = equation_text(seed_model(cell).add(ArrheniusChange(port="R-T"), values))
+    assert "exp(2000 T/(T² + 0.0009))" in warm
     loss = seed_model(cell).add(LinearChange(port="G-I"), {"linear_change@G-I.slope": 0.0512})
     lines = [line for line in equation_text(loss).splitlines() if "linear_change" in line]
     assert len(lines) == 1

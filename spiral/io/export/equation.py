@@ -315,7 +315,8 @@ class _Unicode(StrPrinter):
         if bottom == 1:
             return sign + text
         below = self._product(bottom)
-        return f"{sign}{text}/{below if ' ' not in below else f'({below})'}"
+        alone = " " not in below or isinstance(bottom, sp.Add)  # which is in brackets
+        return f"{sign}{text}/{below if alone else f'({below})'}"
 
     def _product(self, value: sp.Expr) -> str:
         factors = sp.Mul.make_args(value)
