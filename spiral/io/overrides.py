@@ -17,6 +17,7 @@ from spiral.types.errors import ConfigError, did_you_mean
 _LONGEST, _DEEPEST = 20_000, 50  # letters, and brackets in one another
 _NAME = re.compile(r"[\w./\\%°-][\w ./\\%°^*:'()\[\]{}-]*")  # of a column or a file, units too
 _BARE = re.compile(r"(:\s*)([^\s,:{}\[\"'][^,:{}\"']*?)(?=\s*[,}])")  # a mapping's value, no quotes
+_PRIMED = re.compile(r"(?<=[{,\s])([A-Za-z_]\w*)('{1,2})(?=\s*:)")  # a mapping's key, x' or x''
 _PLAIN_VALUE = re.compile(r"[+-]?[\d.]+([eE][+-]?\d+)?|true|false|null", re.IGNORECASE)
 
 
@@ -86,7 +87,7 @@ def _parse_one(parser: Any, text: str) -> Any:
     """An override; a name with brackets, which the grammar does not read, is a plain text.
 
     So ``record.time=t [s]`` and ``record.path=run (2).csv`` mean what they say, and so do the
-    values of a mapping, ``record.units={X: g/m^3}``.
+    values of a mapping, ``record.units={X: g/m^3}``; its key ``x''`` is ``x_acceleration``.
     """
     from hydra.errors import HydraException
 
@@ -98,7 +99,8 @@ def _parse_one(parser: Any, text: str) -> Any:
             return parser.parse_override(f'{key}="{value}"')
         if not value.startswith("{"):
             raise
-        return parser.parse_override(f"{key}={_BARE.sub(_quote_text, value)}")
+        named = _PRIMED.sub(lambda m: m[1] + ("_rate", "_acceleration")[len(m[2]) - 1], value)
+        return parser.parse_override(f"{key}={_BARE.sub(_quote_text, named)}")
 
 
 def _quote_text(pair: re.Match[str]) -> str:

@@ -152,6 +152,8 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
     """
     import pint
 
+    if wanted in _NONE and given.strip().lower() in _PURE:
+        return 1.0, 0.0
     if wanted == "rad/s" and given.strip().lower() in _PER_TURN:
         return _PER_TURN[given.strip().lower()], 0.0
     try:
@@ -168,7 +170,8 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
         raise InputError(
             f"unit {given!r} of {what}",
             f"a unit that converts to {_wanted_words(wanted)}",
-            f"correct record.units, or give a column measured in {_wanted_words(wanted)}",
+            f"correct record.units{' (1, %, ppm)' * (wanted in _NONE)}, or give a column measured "
+            f"in {_wanted_words(wanted)}",
         ) from error
     except Exception as error:  # pint's parser raises what Python's tokenizer does
         bare = wanted in _NONE
@@ -180,6 +183,7 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
 
 
 _NONE = ("", "1")  # the unit of a number without a unit
+_PURE = ("pu", "p.u.", "per unit", "-", "none")  # as files write it; pu is a mass to pint
 
 
 def _wanted_words(unit: str) -> str:

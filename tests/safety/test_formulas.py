@@ -49,6 +49,18 @@ def test_the_bound_is_the_number_of_terms(text):
     assert terms(read("(a+b+c)**4")) == comb(6, 2)
 
 
+def test_a_power_may_have_a_name():
+    """A Hill exponent; of what may be negative it has no value."""
+    names = {"c": 2.0, "n": 1.7, "k": 3.0, "least": 0.1}
+    written = compute("1/(1 + (maximum(c, least)/k)^-n)", names)
+    assert written == pytest.approx(1 / (1 + (2 / 3) ** -1.7))
+    assert compute("abs(c)**n", names) == pytest.approx(2**1.7)
+    assert compute("(maximum(c, least)/k)**1.7", names) == pytest.approx((2 / 3) ** 1.7)
+    for text in ("c**n", "(c - k)**n", "(c/k)**1.7", "c**(n + 1)"):
+        with pytest.raises(ConfigError, match="power"):
+            compute(text, names)
+
+
 def test_a_power_is_written_in_either_way():
     symbols = {name: sp.Symbol(name) for name in "kxy"}
     assert compute("-k*x^2*y + 2^3", symbols) == compute("-k*x**2*y + 2**3", symbols)

@@ -21,6 +21,10 @@ FILE = "file:"  # an address of the disk
         ("record.channels={x: t [s], y: b^2}", {"x": "t [s]", "y": "b^2"}),
         ("a={b: {c: g/m^3}, d: 2.5e-3, e: [1,2]}", {"b": {"c": "g/m^3"}, "d": 2.5e-3, "e": [1, 2]}),
         ("record.time=t [s]", "t [s]"),
+        (
+            "record.channels={x'': acc, x: laser, y': rate}",
+            {"x_acceleration": "acc", "x": "laser", "y_rate": "rate"},
+        ),
     ],
 )
 def test_values_that_the_grammar_does_not_read_are_text_also_in_a_mapping(given, value):

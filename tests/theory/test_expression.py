@@ -118,7 +118,7 @@ def test_what_is_finite_as_a_text_is_finite_at_rest():
         ("-F*tanh(v/w)", {}, ["F and w", "not linear", "shape='{w: VALUE}'"]),
         ("-k*x*t", {}, ["'t'", "known here: x, x_rate"]),
         ("-k*x", {"units": {"kk": "N/m"}}, ["'kk'", "did you mean 'k'?"]),
-        ("-k*x**n", {}, ["a power has a number"]),
+        ("-k*x**n", {}, ["the power n of what may be negative", "abs(x)**n"]),
         ("-k*x**99", {}, ["99", "12"]),
         ("-k*x**1.5", {}, ["may be negative", "abs(x)**0.5"]),
         ("-k*x**0.8", {}, ["may be negative", "abs(x)**0.8"]),

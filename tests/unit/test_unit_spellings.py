@@ -49,6 +49,11 @@ def test_turns_per_minute_in_every_spelling(unit):
         assert conversion(unit, "rpm", "speed")[0] == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("unit", ["pu", "p.u.", "-", "1", ""])
+def test_a_number_per_unit_has_no_unit(unit):
+    assert conversion(unit, "1", "I") == (1.0, 0.0)
+
+
 def test_an_unknown_unit_is_named():
     from spiral.physics.formulas.definition import definition_of
 

@@ -1,6 +1,7 @@
 """Formulas as text: read by an allow-list, computed by walking the tree, never by ``eval``.
 
-    formula := number | name | -f | f + f | f - f | f * f | f / f | f ** number | function(f, ...)
+    formula := number | name | -f | f + f | f - f | f * f | f / f | f ** number | f ** name
+             | function(f, ...)
 
 One reading serves SymPy, pint and NumPy: names stand for symbols, quantities or numbers.
 """
@@ -71,6 +72,7 @@ def read(text: str) -> ast.expr:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else type(error).__name__
         raise ConfigError(f"expression {text!r}: {reason}", "a formula", "-k3*x**3") from error
+    tree = _NamedPowers(text).visit(tree)
     _check_tree(tree, text, DEEPEST)
     if terms(tree) > MOST_TERMS:
         raise ConfigError(
@@ -201,6 +203,26 @@ def _evaluate_call(node: ast.Call, values: Mapping[str, Any]) -> Any:
 # --- what is allowed -----------------------------------------------------------------------------
 
 
+class _NamedPowers(ast.NodeTransformer):
+    """Powers with a name for an exponent written out: a**n is exp(n*log(a)), a > 0."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        """A power, or what is made of some."""
+        self.generic_visit(node)
+        bare = node.right.operand if isinstance(node.right, ast.UnaryOp) else node.right
+        if not (_is_power(node) and isinstance(bare, ast.Name)):
+            return node
+        if not _is_never_negative(node.left):
+            raise _signed_power_error(self.text, bare.id, f"abs(x)**{bare.id}")
+        log = ast.Call(ast.Name("log", ast.Load()), [node.left], [])
+        product = ast.BinOp(node.right, ast.Mult(), log)
+        power = ast.Call(ast.Name("exp", ast.Load()), [product], [])
+        return ast.fix_missing_locations(ast.copy_location(power, node))
+
+
 def _check_tree(node: ast.AST, text: str, depth: int) -> None:
     if depth == 0:
         raise ConfigError(f"expression {text!r}", f"at most {DEEPEST} levels of nested terms")
@@ -257,7 +279,7 @@ def _check_power(node: ast.BinOp, text: str) -> None:
     inner = node.right.operand if isinstance(node.right, ast.UnaryOp) else node.right
     if not isinstance(inner, ast.Constant) or not isinstance(inner.value, int | float):
         raise _not_allowed_error(
-            text, node.right, "a power has a number: x**3; exp(a*log(x)) for others"
+            text, node.right, "a power has a number or a name: x**3, abs(x)**n"
         )
     if abs(inner.value) > LARGEST_EXPONENT:
         raise ConfigError(
@@ -265,20 +287,31 @@ def _check_power(node: ast.BinOp, text: str) -> None:
         )
     power = -inner.value if isinstance(node.right, ast.UnaryOp) else inner.value
     if not float(inner.value).is_integer() and not _is_never_negative(node.left):
-        raise ConfigError(
-            f"expression {text!r}: the power {power} of what may be negative",
-            "a whole power, or a root of abs(...), hypot(...), sqrt(...) or a sum of squares",
-            f"abs(x)**{power:g}"
-            + (f"; x*abs(x)**{power - 1:g} keeps the sign" if power > 1 else ""),
-        )
+        keeping = f"; x*abs(x)**{power - 1:g} keeps the sign" if power > 1 else ""
+        raise _signed_power_error(text, power, f"abs(x)**{power:g}{keeping}")
+
+
+def _signed_power_error(text: str, power: object, try_: str) -> ConfigError:
+    return ConfigError(
+        f"expression {text!r}: the power {power} of what may be negative",
+        "a whole power, or one of abs(...), hypot(...), sqrt(...), maximum(x, least) or a sum of "
+        "squares",
+        try_,
+    )
 
 
 def _is_never_negative(node: ast.expr) -> bool:
-    """Whether a term is at least zero whatever its names stand for, as a sum of squares is."""
+    """Whether a term is at least zero whatever its names stand for, as a sum of squares is.
+
+    A name that something is kept above (``maximum(x, least)``), or that such a term is multiplied
+    with or divided by, is taken for positive.
+    """
     if isinstance(node, ast.Constant):
         return isinstance(node.value, int | float) and node.value >= 0
     if isinstance(node, ast.Call):
-        return isinstance(node.func, ast.Name) and node.func.id in POSITIVE
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        bounds = (b for b in node.args if isinstance(b, ast.Name) or _is_never_negative(b))
+        return name in POSITIVE or (name == "maximum" and any(bounds))
     if not isinstance(node, ast.BinOp) or isinstance(node.op, ast.Sub):
         return False
     if _is_power(node):
@@ -287,7 +320,10 @@ def _is_never_negative(node: ast.expr) -> bool:
         return even or _is_never_negative(node.left)
     if isinstance(node.op, ast.Mult) and ast.dump(node.left) == ast.dump(node.right):
         return True
-    return _is_never_negative(node.left) and _is_never_negative(node.right)
+    sides = (node.left, node.right)
+    sure = [_is_never_negative(side) for side in sides]
+    scaled = isinstance(node.op, ast.Mult | ast.Div)
+    return all(sure) or (scaled and any(sure) and any(isinstance(s, ast.Name) for s in sides))
 
 
 def _check_call(node: ast.Call, text: str) -> Iterator[ast.AST]:
