@@ -129,7 +129,8 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
         share = percent(min(comparison.whiteness_effect, 1.0))
         reasons.append(f"what is left is not white (its past predicts about {share} of it)")
     forces = random_forces(comparison)
-    if forces and max(forces.values()) > settings.random_limit:
+    large = bool(forces) and max(forces.values()) > settings.random_limit
+    if large and not _moves_little(comparison, settings):
         share, acting = percent(max(forces.values())), what_acts(comparison.model)
         reasons.append(
             f"a random {acting} of {share} of the machine's own {acting}s would have to act beside "
@@ -151,6 +152,16 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
             f"the test error is {percent(comparison.test_error)} where noise explains {made}"
         )
     return tuple(reasons)
+
+
+def _moves_little(comparison: Comparison, settings: Settings) -> bool:
+    """Whether random forces move a free run by less than any effect that counts, and it errs so.
+
+    Of a state that follows at once the rate is small, and what acts at random is much beside it: a
+    radiator between the oil and the air. The motion tells how much it is.
+    """
+    moved = 0 < comparison.disturbed < settings.smallest
+    return moved and comparison.test_error < settings.smallest
 
 
 def _scale_of_noise(comparison: Comparison, settings: Settings) -> float:

@@ -88,6 +88,10 @@ class InvalidReadings:
         """The same for a slice of the samples."""
         return InvalidReadings(self.kind, self.where[cut])
 
+    def padded(self, before: int, after: int) -> InvalidReadings:
+        """The same with so many valid readings before and after."""
+        return InvalidReadings(self.kind, np.pad(self.where, (before, after)))
+
 
 def spoilt_readings(
     values: Array, inputs: Iterable[Array] = (), missing: Array | None = None, smooth: bool = True
@@ -133,6 +137,20 @@ def spoilt_readings(
     if 0 < spikes.sum() <= _MOST * len(values):
         spoilt.append(InvalidReadings("spike", spikes))
     return tuple(s for s in spoilt if s.where.any())
+
+
+def standing_out(values: Array, gone: Array | None = None) -> Array:
+    """(samples,) True at spikes in a channel whatever may be their cause, but where ``gone``.
+
+    None where they are so many that they are the signal, or where the channel repeats its values.
+    """
+    none = np.zeros(len(values), dtype=bool)
+    if _repeat_mask(values).any():
+        return none
+    known = none if gone is None else gone
+    beside = np.convolve(known, np.ones(5), "same") > 0  # interpolation makes corners there
+    spikes = _spike_mask(bridged(values, known)) & ~beside
+    return spikes if spikes.sum() <= _MOST * len(values) else none
 
 
 def reading_step(values: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -14,7 +14,13 @@ import numpy as np
 from spiral.types.clock import MINIMUM_SAMPLES, check_forward, check_time, check_uniform
 from spiral.types.errors import InputError, did_you_mean
 from spiral.types.formatting import extent
-from spiral.types.invalid import InvalidReadings, bridged, clipping, spoilt_readings
+from spiral.types.invalid import (
+    InvalidReadings,
+    bridged,
+    clipping,
+    spoilt_readings,
+    standing_out,
+)
 from spiral.types.noise import estimate_noise
 from spiral.types.parameter import HELD, Input, Interpolation
 from spiral.types.probing import readings_with_rates
@@ -114,6 +120,25 @@ class Record:
             spoilt={k: tuple(s.part(cut) for s in v) for k, v in self.spoilt.items()},
         )
 
+    def followed_by(self, later: Record) -> Record:
+        """The record and the next part of the same series, as one, with its own noise."""
+        count = (self.samples, later.samples)
+
+        def joined(one: Mapping[str, Array], other: Mapping[str, Array]) -> dict[str, Array]:
+            return {k: np.concatenate([v, other[k]]) for k, v in one.items()}
+
+        spoilt = {
+            k: tuple(s.padded(*edges) for part, edges in ((self, (0, count[1])),
+                                                          (later, (count[0], 0)))
+                     for s in part.spoilt.get(k, ()))
+            for k in {*self.spoilt, *later.spoilt}
+        }  # fmt: skip
+        return replace(
+            self, time=np.concatenate([self.time, later.time]), noise=self.sigma(), truth={},
+            channels=joined(self.channels, later.channels),
+            inputs=joined(self.inputs, later.inputs), spoilt=spoilt,
+        )  # fmt: skip
+
     def stretch(self, start: int, stop: int, name: str = "") -> Record:
         """Samples [start, stop), with the noise that the whole record has."""
         return replace(self.part(start, stop, name or self.name), noise=self.sigma())
@@ -146,6 +171,19 @@ class Record:
         """(samples,) True where a reading of a channel is invalid; ``None`` where all are valid."""
         masks = [s.where for s in self.spoilt.get(channel, ()) if s.where.any()]
         return np.logical_or.reduce(masks) if masks else None
+
+    def doubtful(self) -> dict[str, Array]:
+        """Spikes by channel that count as readings, as they may follow a force or an input."""
+        found = {k: standing_out(v, self.gone(k)) for k, v in self.channels.items()}
+        return {k: mask for k, mask in found.items() if mask.any()}
+
+    def without_readings(self, spikes: Mapping[str, Array]) -> Record:
+        """The record with these readings, (samples,) True by channel, left out as spikes."""
+        if not spikes:
+            return self
+        more = {k: InvalidReadings("spike", mask) for k, mask in spikes.items()}
+        spoilt = {k: tuple(_merge_spikes(self.spoilt.get(k, ()), m)) for k, m in more.items()}
+        return replace(self, spoilt={**self.spoilt, **spoilt})
 
     @property
     def spoilt_words(self) -> tuple[str, ...]:
@@ -254,6 +292,15 @@ def make_record(
         spoilt={k: some for k, some in spoilt.items() if some},
         hold=held,
     )
+
+
+def _merge_spikes(
+    known: tuple[InvalidReadings, ...], more: InvalidReadings
+) -> Iterator[InvalidReadings]:
+    """Invalid readings by kind, these spikes among those that are known."""
+    yield from (s for s in known if s.kind != more.kind)
+    where = [s.where for s in known if s.kind == more.kind]
+    yield replace(more, where=np.logical_or.reduce([more.where, *where]))
 
 
 def check_fits(system: System, record: Record) -> None:

@@ -96,7 +96,7 @@ def compare_by_likelihood(
     if other is not None:
         settle = _settling_time(other, state.settle, free.estimate.prepared[0][0])
         state, shown = replace(state, settle=settle), replace(shown, settle=settle)
-        run, starts, unseen = _test_run(other, shown, model, free.estimate)
+        run, starts, unseen = _test_run(other, shown, model, free.estimate, assembly)
         seen, tested = {"unseen": unseen}, run.predicted
     carried = _free_run_uncertainty(
         other or assembly, model, run, starts, free.estimate, estimate.noise
@@ -151,10 +151,10 @@ def _fitted_model(assembly: Assembly, state: FitState, estimate: MaximumLikeliho
 
 
 def _test_run(
-    other: Assembly, state: FitState, model: Model, estimate: MaximumLikelihood
+    other: Assembly, state: FitState, model: Model, estimate: MaximumLikelihood, fitted: Assembly
 ) -> tuple[FreeRun, tuple[Array, ...], tuple[Horizon, ...]]:
     """The free run on the test records, its initial states, and errors at all horizons."""
-    run, starts = free_runs(other, state, model, state.settle, usual_states(estimate))
+    run, starts = free_runs(other, state, model, state.settle, usual_states(estimate), fitted)
     forecaster = _make_forecaster(state, tracked_nuisances(other, state, model), starts, estimate)
     return run, starts, errors_at_horizons(other, model, run, forecaster)
 

@@ -11,6 +11,7 @@ that has no place of its own (a link behind a gear) the hidden position is that 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,7 @@ from spiral.inference.evidence.assembly import (
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.free_run import FreeRun, free_run_from_stage
 from spiral.inference.evidence.horizons import filter_task, tracked_deviations
+from spiral.inference.likelihood.continued import continued_start
 from spiral.inference.likelihood.fitting import force_levels
 from spiral.inference.likelihood.initial_states import set_likely_initial_state
 from spiral.types.model import Model
@@ -62,12 +64,13 @@ class UsualStates:
 
 def free_runs(
     assembly: Assembly, state: FitState, model: Model, settle: float | None,
-    usual: UsualStates | None,
+    usual: UsualStates | None, fitted: Assembly | None = None,
 ) -> tuple[FreeRun, tuple[Array, ...]]:  # fmt: skip
     """Free runs over the records of a study, and their initial states (1, n).
 
     These are estimated from the first ``settle`` seconds of each record (all of it where that is
-    left out), hidden ones starting from ``usual`` states.
+    left out), hidden ones starting from ``usual`` states. Where records go on from some that were
+    ``fitted``, they begin where those end, if that fits the settling part as well.
     """
     series = assembly.study.series
     settled = tuple(
@@ -79,7 +82,7 @@ def free_runs(
         parts = tuple(s.record.stretch(0, n) for s, n in zip(series, settled, strict=True))
         heads = with_records(assembly, parts, series[0].substeps)
     rows = state.values if settle is None else np.repeat(state.values[:1], len(series), axis=0)
-    starts, values = [], rows.copy()
+    starts, before, values = [], {}, rows.copy()
     followed = tracked_nuisances(assembly, state, model)
     for r, head in enumerate(heads.study.series):
         task = filter_task(heads, model, rows[r], head.record, head.substeps)
@@ -89,11 +92,18 @@ def free_runs(
             task = replace(task, start=state.starts[r])
         if not followed and state.noise is not None:
             task = set_likely_initial_state(task, state.noise)
+        if fitted is not None and not followed:
+            before[r] = continued_start(fitted, state, model, head.record, task)
         means = _smoothed_means(task, state.noise, followed, settle is not None)
         starts.append(means[0][None, : len(task.states)].copy())
         for place, key in enumerate(followed):
             values[r, task.keys.index(key)] = means[-1, len(task.states) + place]
     begun, refined = _refine_initial_states(heads, state, Point(values, tuple(starts)))
+    going_on = _begun_before(heads, state, refined, before)
+    if going_on is not None:
+        run = free_run_from_stage(assembly, going_on, settled)
+        if all(np.isfinite(p).all() for p in run.predicted):
+            return run, going_on.fitted.point.starts
     run = free_run_from_stage(assembly, refined, settled)
     if refined is not begun and not all(np.isfinite(p).all() for p in run.predicted):
         refined, run = begun, free_run_from_stage(assembly, begun, settled)
@@ -149,6 +159,27 @@ def _refine_initial_states(heads: Assembly, state: FitState, point: Point) -> tu
         refined = fit(study, layouts, point, moving, bounds, iterations=_STEPS)
     as_it_is = Stage(whole, layouts, begun)
     return as_it_is, Stage(whole, layouts, refined) if refined.cost <= begun.cost else as_it_is
+
+
+def _begun_before(
+    heads: Assembly, state: FitState, refined: Stage, before: Mapping[int, Array | None]
+) -> Stage | None:
+    """The records begun where those before them end; nothing where the refined starts fit better.
+
+    By more than ``settings.chi2_limit`` times the squares of what they miss.
+    """
+    known = {r: x for r, x in before.items() if x is not None}
+    if not known:
+        return None
+    point = refined.fitted.point
+    starts = tuple(known[r][None] if r in known else x[:1] for r, x in enumerate(point.starts))
+    study = heads.study
+    moving, bounds = columns_with_bounds(heads, nuisance_keys(heads, state.labels))
+    with np.errstate(all="ignore"):
+        begun = fit(study, refined.layouts, Point(point.values, starts), moving, bounds,
+                    iterations=0)  # fmt: skip
+    enough = heads.problem.settings.chi2_limit * refined.fitted.cost
+    return Stage(refined.length, refined.layouts, begun) if begun.cost <= enough else None
 
 
 def tracked_nuisances(assembly: Assembly, state: FitState, model: Model) -> tuple[str, ...]:

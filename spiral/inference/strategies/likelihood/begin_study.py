@@ -26,7 +26,7 @@ from spiral.inference.likelihood.interpolation import (
     select_input_interpolation,
 )
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
-from spiral.inference.likelihood.seed_fit import best_fit
+from spiral.inference.likelihood.outliers import fit_without_outliers
 from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_other_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.inference.problem import Problem, Progress
@@ -55,6 +55,7 @@ def begin_study(problem: Problem, progress: Progress) -> StartedStudy:
     fitted: dict[str, float] = {}
     while True:
         bare, fit = _fit_seed(problem, held, progress)
+        problem = replace(problem, records=bare.problem.records, test=bare.problem.test)
         ties, model = find_parameter_ties(fit), problem.model
         groups = merge_overlapping_groups([set(g) for g in (*groups, *ties.groups)])
         hold = next((k for k in ties.parts if model.values.get(k)), None)
@@ -95,7 +96,7 @@ def _fit_seed(
         corrected=False, held=held, between=held_inputs(problem),
     )  # fmt: skip
     bare = refine_substeps(bare, state)
-    fit = best_fit(bare, state, progress)
+    bare, fit = fit_without_outliers(bare, state, progress)
     if state.between and fit.estimate.finite:
         fit = restore_declared_interpolation(bare, fit, progress)
     for effect in problem.model.effects:
