@@ -139,20 +139,6 @@ def spoilt_readings(
     return tuple(s for s in spoilt if s.where.any())
 
 
-def standing_out(values: Array, gone: Array | None = None) -> Array:
-    """(samples,) True at spikes in a channel whatever may be their cause, but where ``gone``.
-
-    None where they are so many that they are the signal, or where the channel repeats its values.
-    """
-    none = np.zeros(len(values), dtype=bool)
-    if _repeat_mask(values).any():
-        return none
-    known = none if gone is None else gone
-    beside = np.convolve(known, np.ones(5), "same") > 0  # interpolation makes corners there
-    spikes = _spike_mask(bridged(values, known)) & ~beside
-    return spikes if spikes.sum() <= _MOST * len(values) else none
-
-
 def reading_step(values: Array) -> float:
     """The step q of a converter whose multiples all readings are; 0 where they are no such grid.
 

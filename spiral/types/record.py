@@ -19,7 +19,6 @@ from spiral.types.invalid import (
     bridged,
     clipping,
     spoilt_readings,
-    standing_out,
 )
 from spiral.types.noise import estimate_noise
 from spiral.types.parameter import HELD, Input, Interpolation
@@ -171,11 +170,6 @@ class Record:
         """(samples,) True where a reading of a channel is invalid; ``None`` where all are valid."""
         masks = [s.where for s in self.spoilt.get(channel, ()) if s.where.any()]
         return np.logical_or.reduce(masks) if masks else None
-
-    def doubtful(self) -> dict[str, Array]:
-        """Spikes by channel that count as readings, as they may follow a force or an input."""
-        found = {k: standing_out(v, self.gone(k)) for k, v in self.channels.items()}
-        return {k: mask for k, mask in found.items() if mask.any()}
 
     def without_readings(self, spikes: Mapping[str, Array]) -> Record:
         """The record with these readings, (samples,) True by channel, left out as spikes."""

@@ -1,14 +1,11 @@
-"""Readings that stand out from their neighbours, and of which the signal does not tell why.
+"""Single readings that only their sensor's fault explains: found by the filter, and left out.
 
-A reading of a force or an acceleration may jump, and so may any near a jump of an input: there a
-spike in the signal (``types.invalid``) is the sensor's or the machine's. The filter tells. It runs
-without these readings, and one of them is the machine's where
-
-- the model predicts it: the whitened miss |e_k| / s_k^(1/2) is below ``_PREDICTED``, or
-- the machine has moved otherwise since: over the next ``_AFTER`` samples the mean square of the
-  whitened misses of all sensors is above all but ``_RARE`` of those after other readings.
-
-The others are the sensor's, and are left out.
+Whether a spike in a force or an acceleration is the sensor's or the machine's the signal does not
+tell. Its one-step prediction misses by e_k, whitened and over the robust deviation of its channel
+(1.48 times the median); a reading is doubted where |e_k| is above ``_OUT`` and larger than those of
+the samples beside it. The filter then runs without all that are doubted. One of them is the
+machine's where that has moved otherwise since: where over the next ``_AFTER`` samples the mean
+square of what all sensors miss is above all but ``_RARE`` of those after other readings.
 """
 
 from __future__ import annotations
@@ -27,10 +24,13 @@ from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.problem import Progress
 from spiral.types.record import Array, Record
 
-_PREDICTED = 6.0  # standard deviations within which a reading is as the model predicts it
+_ROBUST, _OUT = 1.4826, 8.0  # median to standard deviation; how many of these are doubted
+_BESIDE = 3  # samples on each side that miss less
 _AFTER = 8  # samples over which a force that acted shows in the motion
 _RARE = 0.01  # share of other stretches that miss as much
-_MOST = 0.5  # share of them that are the machine's, from which they all are
+_MOST = 0.01  # share of a channel's readings above which they are how it reads
+_OURS = 0.5  # share of the doubted ones that are the machine's, from which they all are
+_ROUNDS = 2  # of looking for outliers beside those that are left out already
 
 Masks = dict[str, Array]
 
@@ -42,28 +42,51 @@ def fit_without_outliers(
 
     ``state`` is where fits start.
     """
-    problem = assembly.problem
-    doubtful = [r.doubtful() for r in problem.records]
-    tested = [r.doubtful() for r in problem.test]
-    if not any((*doubtful, *tested)):
-        return assembly, best_fit(assembly, state, progress)
-    progress("fitting without readings that stand out")
-    apart = _left_out(assembly, doubtful, tested)
-    fit = best_fit(apart, state, progress)
-    if not fit.estimate.finite:
-        return assembly, best_fit(assembly, state, progress)
-    ours = _outliers(assembly, apart, fit.state, fit.estimate.noise, doubtful)
-    theirs = _outliers(
-        _with_only(assembly, problem.test), _with_only(apart, apart.problem.test),
-        _of_any_record(fit.state, len(problem.test)), fit.estimate.noise, tested,
-    )  # fmt: skip
-    if not any((*ours, *theirs)):
-        return assembly, best_fit(assembly, state, progress)
-    final = _left_out(assembly, ours, theirs)
-    if all(set(a) == set(b) and all((a[k] == b[k]).all() for k in a)
-           for a, b in zip(ours, doubtful, strict=True)):  # fmt: skip
-        return final, fit
-    return final, best_fit(final, state, progress)
+    fit = best_fit(assembly, state, progress)
+    for _ in range(_ROUNDS):
+        if not fit.estimate.finite:
+            break
+        noise, problem = fit.estimate.noise, assembly.problem
+        ours = _find_outliers(assembly, fit.state, noise)
+        count = len(problem.test)
+        others = _of_any_record(fit.state, count)
+        theirs = _find_outliers(_with_only(assembly, problem.test), others, noise) if count else []
+        if not any((*ours, *theirs)):
+            break
+        assembly = _left_out(assembly, ours, theirs)
+        if any(ours):
+            progress("fitting without readings that stand out")
+            fit = best_fit(assembly, state, progress)
+    return assembly, fit
+
+
+def _find_outliers(assembly: Assembly, state: FitState, noise: NoiseModel) -> list[Masks]:
+    """The outliers of each record of a study, by channel, (samples,) True there."""
+    channels = assembly.study.compiled.traced.channels
+    seen = predict_cases([(prepare_filter_tasks(assembly, state), noise)])[0]
+    doubted = [_doubted_readings(part, channels) for part in seen]
+    if not any(doubted):
+        return doubted
+    apart = _left_out(assembly, doubted, [{} for _ in assembly.problem.test])
+    unseen = predict_cases([(prepare_filter_tasks(apart, state), noise)])[0]
+    return [_faults(part, masks) for part, masks in zip(unseen, doubted, strict=True)]
+
+
+def _doubted_readings(part: Prediction, channels: Sequence[str]) -> Masks:
+    """Readings that miss far more than usual, and more than those beside them, by channel."""
+    doubted: Masks = {}
+    if not part.whole:
+        return doubted
+    for j, channel in enumerate(channels):
+        size, known = np.abs(part.whitened[:, j]), part.spreads[:, j] > 0
+        if not known.any():
+            continue
+        usual = _ROBUST * float(np.median(size[known]))
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(size, _BESIDE), 2 * _BESIDE + 1)
+        mask = (size > _OUT * usual) & (size >= around.max(axis=1))
+        if 0 < mask.sum() <= _MOST * known.sum():
+            doubted[channel] = mask
+    return doubted
 
 
 def _left_out(assembly: Assembly, masks: Sequence[Masks], tested: Sequence[Masks]) -> Assembly:
@@ -90,38 +113,16 @@ def _of_any_record(state: FitState, count: int) -> FitState:
                    spreads=None)  # fmt: skip
 
 
-def _outliers(
-    assembly: Assembly, apart: Assembly, state: FitState, noise: NoiseModel, masks: Sequence[Masks]
-) -> list[Masks]:
-    """Those of the doubtful readings, by record and channel, that are no more than a sensor's."""
-    if not any(masks):
-        return [{} for _ in masks]
-    seen, unseen = (
-        predict_cases([(prepare_filter_tasks(one, state), noise)])[0] for one in (assembly, apart)
-    )
-    channels = assembly.study.compiled.traced.channels
-    return [
-        _faults(here, there, {channels.index(k): v for k, v in some.items()}, channels)
-        for here, there, some in zip(seen, unseen, masks, strict=True)
-    ]
-
-
-def _faults(
-    seen: Prediction, unseen: Prediction, masks: dict[int, Array], channels: Sequence[str]
-) -> Masks:
-    """The readings of one record that neither the model predicts nor the motion answers."""
-    if not (seen.whole and unseen.whole):
+def _faults(unseen: Prediction, masks: Masks) -> Masks:
+    """Those of a record's doubted readings that its motion does not answer, run without them."""
+    if not unseen.whole:
         return {}
     after = _mean_square_after(unseen.whitened)
-    doubtful = np.logical_or.reduce(list(masks.values())) if masks else np.zeros(len(after), bool)
-    usual = after[~doubtful & np.isfinite(after)]
+    doubted = np.logical_or.reduce(list(masks.values())) if masks else np.zeros(len(after), bool)
+    usual = after[~doubted & np.isfinite(after)]
     limit = float(np.quantile(usual, 1 - _RARE)) if len(usual) else np.inf
-    faults = {}
-    for j, mask in masks.items():
-        own = mask & (np.abs(seen.whitened[:, j]) > _PREDICTED) & ~(after > limit)
-        if own.any() and own.sum() > (1 - _MOST) * mask.sum():
-            faults[channels[j]] = own
-    return faults
+    faults = {channel: mask & ~(after > limit) for channel, mask in masks.items()}
+    return {k: own for k, own in faults.items() if own.sum() > (1 - _OURS) * masks[k].sum()}
 
 
 def _mean_square_after(whitened: Array) -> Array:
