@@ -128,10 +128,9 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
     if not is_residual_white(comparison, settings):
         share = percent(min(comparison.whiteness_effect, 1.0))
         reasons.append(f"what is left is not white (its past predicts about {share} of it)")
-    forces = random_forces(comparison)
-    large = bool(forces) and max(forces.values()) > settings.random_limit
-    if large and not _moves_little(comparison, settings):
-        share, acting = percent(max(forces.values())), what_acts(comparison.model)
+    largest = max(random_forces(comparison).values(), default=0.0)
+    if largest > settings.random_limit and not _moves_little(comparison, settings):
+        share, acting = percent(largest), what_acts(comparison.model)
         reasons.append(
             f"a random {acting} of {share} of the machine's own {acting}s would have to act beside "
             "it"

@@ -11,7 +11,7 @@ that has no place of its own (a link behind a gear) the hidden position is that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,15 +99,19 @@ def free_runs(
         for place, key in enumerate(followed):
             values[r, task.keys.index(key)] = means[-1, len(task.states) + place]
     begun, refined = _refine_initial_states(heads, state, Point(values, tuple(starts)))
-    going_on = _begun_before(heads, state, refined, before)
-    if going_on is not None:
-        run = free_run_from_stage(assembly, going_on, settled)
-        if all(np.isfinite(p).all() for p in run.predicted):
-            return run, going_on.fitted.point.starts
-    run = free_run_from_stage(assembly, refined, settled)
-    if refined is not begun and not all(np.isfinite(p).all() for p in run.predicted):
-        refined, run = begun, free_run_from_stage(assembly, begun, settled)
-    return run, refined.fitted.point.starts
+    stages = (_begun_before(heads, state, refined, before), refined, begun)
+    return _first_finite_run(assembly, [s for s in stages if s is not None], settled)
+
+
+def _first_finite_run(
+    assembly: Assembly, stages: Sequence[Stage], settled: tuple[int, ...]
+) -> tuple[FreeRun, tuple[Array, ...]]:
+    """The free run from the first of several starts from which none runs away, else the last."""
+    stage, *others = stages
+    run = free_run_from_stage(assembly, stage, settled)
+    if others and not all(np.isfinite(p).all() for p in run.predicted):
+        return _first_finite_run(assembly, others, settled)
+    return run, stage.fitted.point.starts
 
 
 def usual_states(estimate: MaximumLikelihood) -> UsualStates | None:
