@@ -292,16 +292,16 @@ def _spike_mask(values: Array) -> Array:
         return spikes
     y = values.copy()
     rounding = float(np.sqrt(np.sum(_OWN**2) / 12)) * reading_step(y)
-    scale = np.maximum(_ROBUST * _usual_sizes(_cubic_residual(y)), rounding)
+    scale = np.maximum(_ROBUST * _usual_sizes(cubic_residual(y)), rounding)
     last = np.ones(1)
     while last.any() and spikes.sum() <= _MOST * len(y):
         last = np.zeros(len(y), dtype=bool)
-        off = _cubic_residual(y)
+        off = cubic_residual(y)
         for k in _candidate_spikes(off, spikes, scale):
             last[k] = _spike_sizes(y, [k], scale) is not None
         y[last] -= off[last]
         spikes |= last
-    met = _candidate_spikes(_cubic_residual(y), spikes, scale)
+    met = _candidate_spikes(cubic_residual(y), spikes, scale)
     places = 1 + np.count_nonzero(np.diff(met) > _APART) if met else 0
     for k in met if 2 * places <= spikes.sum() else ():
         trials = ((pair, _spike_sizes(y, pair, scale)) for pair in _PAIRS + k)
@@ -364,17 +364,17 @@ def _spike_sizes(values: Array, at: Sequence[int], scale: Array) -> Array | None
     around = values[low - 4 : high + 5].copy()
     places = np.asarray(at) - (low - 4)
     apart = np.abs(np.subtract.outer(places, places))
-    amounts = np.linalg.solve(_WEIGHTS[apart], _cubic_residual(around)[places])
+    amounts = np.linalg.solve(_WEIGHTS[apart], cubic_residual(around)[places])
     around[places] -= amounts
     near = {p + d for p in places for d in (-2, -1, 1, 2)} - set(places)
-    left = np.abs(_cubic_residual(around))[sorted(near)]
+    left = np.abs(cubic_residual(around))[sorted(near)]
     # another spike four readings on leaves one neighbour off
     usual = float(np.max(scale[np.asarray(at)]))
     agree = np.sum(left > _AGREE * usual) <= 1 and np.median(left) <= _AGREE * usual
     return amounts if agree and np.all(np.abs(amounts) > _OUT * usual) else None
 
 
-def _cubic_residual(values: Array) -> Array:
+def cubic_residual(values: Array) -> Array:
     """r, how far a reading is from a cubic through two neighbours on each side; 0 at the ends."""
     residual = np.zeros(len(values))
     inner = 4 * (values[1:-3] + values[3:-1]) - (values[:-4] + values[4:])

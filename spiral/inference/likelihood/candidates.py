@@ -39,6 +39,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.initial_states import narrow_initial_states
 from spiral.inference.likelihood.shapes import refit_effect_shapes
+from spiral.inference.likelihood.tolerances import Tolerances
 from spiral.inference.problem import Progress
 from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
@@ -86,7 +87,7 @@ class Race:
     """Candidates refitted on the blocks that select; only those that keep up are fitted further.
 
     ``runners`` have been taken a few steps, best first; those of ``finals`` to the likelihood's
-    maximum.
+    maximum. ``known`` : what known values explain that are a little off.
     """
 
     assembly: Assembly
@@ -95,6 +96,7 @@ class Race:
     progress: Progress
     runners: list[Rival]
     finals: list[list[Rival]] = field(default_factory=list)
+    known: Tolerances = field(default_factory=Tolerances)
 
     @property
     def finalists(self) -> tuple[Rival, ...]:

@@ -3,7 +3,9 @@
 Whether a spike in a force or an acceleration is the sensor's or the machine's the signal does not
 tell. Its one-step prediction misses by e_k, whitened and over the robust deviation of its channel
 (1.48 times the median); a reading is doubted where |e_k| is above ``_OUT`` and larger than those of
-the samples beside it. The filter then runs without all that are doubted. One of them is the
+the samples beside it, and where the reading is as far from its neighbours: r_k of ``types.invalid``
+is at least three quarters of the miss. After a step of the signal it is half. The
+filter then runs without all that are doubted. One of them is the
 machine's where that has moved otherwise since: where over the next ``_AFTER`` samples the mean
 square of what all sensors miss is above all but ``_RARE`` of those after other readings.
 """
@@ -22,9 +24,11 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.fitting import LikelihoodFit, prepare_filter_tasks
 from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.problem import Progress
+from spiral.types.invalid import bridged, cubic_residual
 from spiral.types.record import Array, Record
 
 _ROBUST, _OUT = 1.4826, 8.0  # median to standard deviation; how many of these are doubted
+_ALONE = 0.75  # share of a miss that a reading is off its neighbours; half after a step
 _BESIDE = 3  # samples on each side that miss less
 _AFTER = 8  # samples over which a force that acted shows in the motion
 _RARE = 0.01  # share of other stretches that miss as much
@@ -63,8 +67,12 @@ def fit_without_outliers(
 def _find_outliers(assembly: Assembly, state: FitState, noise: NoiseModel) -> list[Masks]:
     """The outliers of each record of a study, by channel, (samples,) True there."""
     channels = assembly.study.compiled.traced.channels
-    seen = predict_cases([(prepare_filter_tasks(assembly, state), noise)])[0]
-    doubted = [_doubted_readings(part, channels) for part in seen]
+    tasks = prepare_filter_tasks(assembly, state)
+    seen = predict_cases([(tasks, noise)])[0]
+    doubted = [
+        _doubted_readings(part, task.series.y, channels)
+        for part, (task, _) in zip(seen, tasks, strict=True)
+    ]
     if not any(doubted):
         return doubted
     apart = _left_out(assembly, doubted, [{} for _ in assembly.problem.test])
@@ -72,8 +80,8 @@ def _find_outliers(assembly: Assembly, state: FitState, noise: NoiseModel) -> li
     return [_faults(part, masks) for part, masks in zip(unseen, doubted, strict=True)]
 
 
-def _doubted_readings(part: Prediction, channels: Sequence[str]) -> Masks:
-    """Readings that miss far more than usual, and more than those beside them, by channel."""
+def _doubted_readings(part: Prediction, readings: Array, channels: Sequence[str]) -> Masks:
+    """Readings (samples, channels) that are far off what precedes and what is beside them."""
     doubted: Masks = {}
     if not part.whole:
         return doubted
@@ -83,7 +91,10 @@ def _doubted_readings(part: Prediction, channels: Sequence[str]) -> Masks:
             continue
         usual = _ROBUST * float(np.median(size[known]))
         around = np.lib.stride_tricks.sliding_window_view(np.pad(size, _BESIDE), 2 * _BESIDE + 1)
+        apart = np.abs(cubic_residual(bridged(readings[:, j], ~known)))
         mask = (size > _OUT * usual) & (size >= around.max(axis=1))
+        mask &= apart > _ALONE * np.abs(part.misses[:, j])
+        mask &= np.convolve(~known, np.ones(2 * _BESIDE + 1), "same") < 1  # no neighbours there
         if 0 < mask.sum() <= _MOST * known.sum():
             doubted[channel] = mask
     return doubted

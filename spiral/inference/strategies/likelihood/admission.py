@@ -63,6 +63,7 @@ from spiral.inference.likelihood.seed_fit import (
 )
 from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
+from spiral.inference.likelihood.tolerances import Tolerances
 from spiral.inference.nearness import unexplained_error_growth
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import RefittedModel
@@ -84,7 +85,7 @@ from spiral.inference.strategies.likelihood.superfluous import (
 from spiral.inference.strategies.likelihood.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
-from spiral.types.effect import Effect
+from spiral.types.effect import Effect, ParameterEffect
 from spiral.types.label import owner_of, without_variant
 from spiral.types.run import Comparison
 
@@ -153,7 +154,7 @@ def first_to_pass(
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     unasked = _unasked(_meaningful(race, rejected), before, rejected, worths)
     for rival, rivals in itertools.islice(unasked, options.judged):
-        if reason := _unconfirmed_reason(base, ours, rival, judge, level, least):
+        if reason := _unconfirmed_reason(base, ours, rival, race.known, judge, level, least):
             rejected[rival.label] = reason
             continue
         if twin := untold_twin(base, rival, race.masks):
@@ -282,14 +283,18 @@ def _search_noise(
 
 
 def _unconfirmed_reason(
-    base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, judge: Masks,
-    level: float, least: float,
+    base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, known: Tolerances,
+    judge: Masks, level: float, least: float,
 ) -> str:  # fmt: skip
     """Why a candidate is not confirmed on the judging blocks; empty where it is."""
     if not rival.worth > 0:
         return "refitted, its gain in likelihood does not pay for its additional parameters"
     if not rival.worth > least:
         return "refitted, it is not likelier than what it would replace"
+    effect = rival.ranked.variant.original
+    steady = isinstance(effect, ParameterEffect) and effect.steady
+    if not steady and (reason := known.refuses(rival.worth)):
+        return reason
     judgement = judge_winner(base, ours(), rival, judge)
     if not judgement.passes(level):
         return (

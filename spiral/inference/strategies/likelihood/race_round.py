@@ -30,6 +30,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.interpolation import likelier_interpolation_fit
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
+from spiral.inference.likelihood.tolerances import tolerances_of
 from spiral.inference.nearness import (
     is_near_noise,
     leaves_less_than_noise,
@@ -297,11 +298,8 @@ def _race_candidates(
     base, ranked = begun
     if scored is not None:
         progress(scored(ranked))
-    return (
-        base,
-        ranked,
-        start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals),
-    )
+    race = start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
+    return base, ranked, replace(race, known=tolerances_of(ranked))
 
 
 def _score_message(ranking: Ranking) -> ScoreMessage:

@@ -1,0 +1,59 @@
+"""What known values would explain if they were a little off.
+
+A mass that was weighed, a catalog's capacitance are right within something, and in a good record
+half a percent shows: as a small store or a little more damping, whatever moves alike. With a normal
+prior of ``TOLERANCE`` on the relative error d_i of each known value, A the slopes of the whitened
+misses e by d,
+
+    log-likelihood = max_d  -1/2 |e - A d|^2 - 1/2 |d|^2 / TOLERANCE^2  + 1/2 |e|^2.
+
+What an effect explains beyond that is no known value's doing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spiral.inference.evidence.scoring import Ranking
+from spiral.types.effect import ParameterEffect
+from spiral.types.formatting import percent
+
+TOLERANCE = 0.005  # standard deviation of a known value, as a share of it
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """What known values explain within their tolerance.
+
+    ``log_likelihood`` : its gain. ``errors`` : the relative error of each that gains it, by name.
+    """
+
+    log_likelihood: float = 0.0
+    errors: tuple[tuple[str, float], ...] = ()
+
+    def refuses(self, worth: float) -> str:
+        """Why an effect that is worth so much is none; empty where it is worth more than this."""
+        if worth > self.log_likelihood:
+            return ""
+        largest = sorted(self.errors, key=lambda e: -abs(e[1]))[:3]
+        words = ", ".join(f"{name} by {percent(abs(error))}" for name, error in largest)
+        return f"it explains no more than known values that are a little off ({words})"
+
+
+def tolerances_of(ranking: Ranking) -> Tolerances:
+    """What the known parameters among the candidates (``other_value``) explain, off a little."""
+    known = [
+        (r.variant.original, r.columns) for r in ranking.ranked
+        if isinstance(r.variant.original, ParameterEffect) and r.variant.original.steady
+    ]  # fmt: skip
+    if not known:
+        return Tolerances()
+    table = ranking.table
+    a = table.triangle[:, [c for _, columns in known for c in columns]]
+    stiff = a.T @ a + np.eye(a.shape[1]) / TOLERANCE**2
+    errors = np.linalg.solve(stiff, a.T @ table.target)
+    gain = 0.5 * float(table.target @ (a @ errors))
+    names = [e.port or e.label for e, _ in known]
+    return Tolerances(gain, tuple(zip(names, errors.tolist(), strict=True)))
