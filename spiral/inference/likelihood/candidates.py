@@ -87,7 +87,7 @@ class Race:
     """Candidates refitted on the blocks that select; only those that keep up are fitted further.
 
     ``runners`` have been taken a few steps, best first; those of ``finals`` to the likelihood's
-    maximum. ``known`` : what known values explain that are a little off.
+    maximum. ``tolerances`` : what known values explain that are a little off.
     """
 
     assembly: Assembly
@@ -96,7 +96,7 @@ class Race:
     progress: Progress
     runners: list[Rival]
     finals: list[list[Rival]] = field(default_factory=list)
-    known: Tolerances = field(default_factory=Tolerances)
+    tolerances: Tolerances = field(default_factory=Tolerances)
 
     @property
     def finalists(self) -> tuple[Rival, ...]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.problem import DECISIVE_ODDS
 from spiral.types.effect import ParameterEffect
 from spiral.types.formatting import percent
 
@@ -34,8 +35,12 @@ class Tolerances:
     errors: tuple[tuple[str, float], ...] = ()
 
     def refuses(self, worth: float) -> str:
-        """Why an effect that is worth so much is none; empty where it is worth more than this."""
-        if worth > self.log_likelihood:
+        """Why an effect that is worth so much is none; empty where it is likelier by the odds.
+
+        Nothing is refused where the known values are most likely as they were given.
+        """
+        odds = float(np.log(DECISIVE_ODDS))
+        if self.log_likelihood <= odds or worth > self.log_likelihood + odds:
             return ""
         largest = sorted(self.errors, key=lambda e: -abs(e[1]))[:3]
         words = ", ".join(f"{name} by {percent(abs(error))}" for name, error in largest)

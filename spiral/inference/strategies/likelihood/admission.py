@@ -85,7 +85,7 @@ from spiral.inference.strategies.likelihood.superfluous import (
 from spiral.inference.strategies.likelihood.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
-from spiral.types.effect import Effect, ParameterEffect
+from spiral.types.effect import Effect
 from spiral.types.label import owner_of, without_variant
 from spiral.types.run import Comparison
 
@@ -154,7 +154,7 @@ def first_to_pass(
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     unasked = _unasked(_meaningful(race, rejected), before, rejected, worths)
     for rival, rivals in itertools.islice(unasked, options.judged):
-        if reason := _unconfirmed_reason(base, ours, rival, race.known, judge, level, least):
+        if reason := _unconfirmed_reason(base, ours, rival, race.tolerances, judge, level, least):
             rejected[rival.label] = reason
             continue
         if twin := untold_twin(base, rival, race.masks):
@@ -291,9 +291,7 @@ def _unconfirmed_reason(
         return "refitted, its gain in likelihood does not pay for its additional parameters"
     if not rival.worth > least:
         return "refitted, it is not likelier than what it would replace"
-    effect = rival.ranked.variant.original
-    steady = isinstance(effect, ParameterEffect) and effect.steady
-    if not steady and (reason := known.refuses(rival.worth)):
+    if reason := known.refuses(rival.worth):
         return reason
     judgement = judge_winner(base, ours(), rival, judge)
     if not judgement.passes(level):

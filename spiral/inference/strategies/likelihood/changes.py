@@ -9,7 +9,7 @@ quadratic spring), and what stands in for a change is.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import Masks
@@ -17,6 +17,7 @@ from spiral.inference.evidence.scoring import RankedCandidate, Ranking
 from spiral.inference.likelihood.candidates import Race
 from spiral.inference.likelihood.fitting import LikelihoodFit
 from spiral.inference.likelihood.scores import rank_variants
+from spiral.inference.likelihood.tolerances import Tolerances
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.likelihood.admission import offer_effects, race_offered
 from spiral.types.effect import Effect, ParameterEffect
@@ -29,11 +30,13 @@ _LEADING = 2  # of these where they lead
 class PromisingChanges:
     """Changes of parameters by their score beside any model of a study, computed once for each.
 
-    Candidates, laws and curves ask for them beside the same model.
+    Candidates, laws and curves ask for them beside the same model. ``tolerances`` : what known
+    values explain there that are a little off.
     """
 
     assembly: Assembly
     select: Masks
+    tolerances: Tolerances = field(default_factory=Tolerances)
     known: list[tuple[LikelihoodFit, Ranking | None, tuple[Effect, ...]]] = field(
         default_factory=list
     )
@@ -80,7 +83,9 @@ class PromisingChanges:
         progress("trying changes of parameters that score better than any candidate")
         offered = offer_effects(self.assembly, forms)
         contest = race_offered(offered, base, self.select, progress, most)
-        return None if contest is None else (with_every_form(*contest), contest[1])
+        if contest is None:
+            return None
+        return replace(with_every_form(*contest), tolerances=self.tolerances), contest[1]
 
 
 def _rank_plain_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> Ranking | None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from spiral.inference.likelihood.fitting import (
     with_estimate,
 )
 from spiral.inference.likelihood.noise_selection import select_noise_model
+from spiral.inference.likelihood.tolerances import Tolerances
 from spiral.inference.nearness import is_moved_at_random, is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
@@ -80,6 +81,7 @@ class _LawStart:
 
     ``gone`` are the effects that it lets go, ``log_likelihood`` that of the model with them,
     ``state`` that model's; ``worth`` what they gain on the blocks that select, less their penalty.
+    ``tolerances`` : what known values explain beside ``base`` that are a little off.
     """
 
     base: LikelihoodFit
@@ -87,6 +89,7 @@ class _LawStart:
     log_likelihood: float = -np.inf
     state: FitState | None = None
     worth: float = 0.0
+    tolerances: Tolerances = field(default_factory=Tolerances)
 
 
 def find_named_law(
@@ -115,6 +118,8 @@ def find_named_law(
         progress("trying laws with a closed form")
         forms = (e for e in changes.beside(start.base) if not e.bare)
         offered = offer_effects(assembly, (*laws, *forms))
+        if start.base is base:
+            start = replace(start, tolerances=changes.tolerances)
         law = _find_law_from(options, offered, start, comparison, masks, level, progress)
         if law is not None:
             return law
@@ -203,7 +208,7 @@ def _find_law_from(
         return Refusal("it leaves more than noise, or is not likelier than what it would replace")
 
     race, ranked = contest
-    race = with_every_form(race, ranked)
+    race = replace(with_every_form(race, ranked), tolerances=start.tolerances)
     passed = first_to_pass(
         options, assembly, start.base, race, masks[1], level, objection, progress, start.worth
     ).passed

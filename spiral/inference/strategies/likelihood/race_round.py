@@ -144,11 +144,11 @@ def race_and_test(
     """Race and test the candidates in a study; nothing where its filter diverges."""
     options, progress = asked.options, asked.progress
     masks = half_masks(assembly)
-    changes = PromisingChanges(assembly, masks[0])
     begun = _race_candidates(options, assembly, state, masks[0], progress, _score_message)
     if begun is None:
         return None
     base, ranked, race = begun
+    changes = PromisingChanges(assembly, masks[0], race.tolerances)
     contest = TestedCandidates(base, masks, changes, ScoredRound(ranked, ()))
     least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
@@ -299,7 +299,7 @@ def _race_candidates(
     if scored is not None:
         progress(scored(ranked))
     race = start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
-    return base, ranked, replace(race, known=tolerances_of(ranked))
+    return base, ranked, replace(race, tolerances=tolerances_of(ranked))
 
 
 def _score_message(ranking: Ranking) -> ScoreMessage:
