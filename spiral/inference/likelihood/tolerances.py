@@ -7,19 +7,24 @@ misses e by d,
 
     log-likelihood = max_d  -1/2 |e - A d|^2 - 1/2 |d|^2 / TOLERANCE^2  + 1/2 |e|^2.
 
-What an effect explains beyond that is no known value's doing.
+What an effect explains beyond that is no known value's doing. Where it counts the model is fitted
+with these values as well: sizes of noise that made up for them shrink.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.likelihood.predict import Masks
+from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, fit_by_likelihood
 from spiral.inference.problem import DECISIVE_ODDS
 from spiral.types.effect import ParameterEffect
 from spiral.types.formatting import percent
+from spiral.types.port import varied_key
 
 TOLERANCE = 0.005  # standard deviation of a known value, as a share of it
 
@@ -62,3 +67,28 @@ def tolerances_of(ranking: Ranking) -> Tolerances:
     gain = 0.5 * float(table.target @ (a @ errors))
     names = [e.port or e.label for e, _ in known]
     return Tolerances(gain, tuple(zip(names, errors.tolist(), strict=True)))
+
+
+def refitted_tolerances(
+    assembly: Assembly, base: LikelihoodFit, ranking: Ranking, masks: Masks
+) -> Tolerances:
+    """The same, by a fit with the known values that explain most, where these count.
+
+    ``base`` is the model as it is, fitted to ``masks``; what the fit gains is less the prior's
+    1/2 |d|^2 / TOLERANCE^2.
+    """
+    told = tolerances_of(ranking)
+    if told.log_likelihood <= float(np.log(DECISIVE_ODDS)):
+        return told
+    system, values = assembly.problem.model.system, base.state.values.copy()
+    errors = dict(told.errors)
+    for ranked in ranking.ranked:
+        effect = ranked.variant.original
+        if isinstance(effect, ParameterEffect) and effect.steady:
+            key = varied_key(system.place(effect))
+            values[:, assembly.study.index(key)] *= 1 + errors[effect.port or effect.label]
+    state = replace(base.state, values=values)
+    fit = fit_by_likelihood(assembly, state, masks=masks, steps=WARM, rough=True)
+    prior = 0.5 * sum((error / TOLERANCE) ** 2 for error in errors.values())
+    gain = fit.log_likelihood - base.log_likelihood - prior
+    return replace(told, log_likelihood=max(gain, told.log_likelihood))

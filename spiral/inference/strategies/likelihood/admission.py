@@ -85,7 +85,7 @@ from spiral.inference.strategies.likelihood.superfluous import (
 from spiral.inference.strategies.likelihood.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
-from spiral.types.effect import Effect
+from spiral.types.effect import Effect, ParameterEffect
 from spiral.types.label import owner_of, without_variant
 from spiral.types.run import Comparison
 
@@ -161,6 +161,8 @@ def first_to_pass(
             rejected[rival.label] = f"in place of {twin} it explains as much: one of the two acts"
             continue
         chosen, near = simplest_rival(rival, indistinguishable_rivals(rivals, options.odds), rivals)
+        if _within_tolerances(chosen, race.tolerances):
+            chosen, near = rival, tuple(x for x in near if x != rival.label)
         aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
         passed, refusal = _fit_and_ask(chosen, aliases, objection, progress)
@@ -291,7 +293,7 @@ def _unconfirmed_reason(
         return "refitted, its gain in likelihood does not pay for its additional parameters"
     if not rival.worth > least:
         return "refitted, it is not likelier than what it would replace"
-    if reason := known.refuses(rival.worth):
+    if reason := _within_tolerances(rival, known):
         return reason
     judgement = judge_winner(base, ours(), rival, judge)
     if not judgement.passes(level):
@@ -300,6 +302,16 @@ def _unconfirmed_reason(
             f"log-likelihood {judgement.predicted:+.3g} as it was fitted)"
         )
     return ""
+
+
+def _within_tolerances(rival: Rival, known: Tolerances) -> str:
+    """Why a candidate is no more than known values that are a little off; empty where it is more.
+
+    Also where it is such a value itself: it is told with what it is.
+    """
+    effect = rival.ranked.variant.original
+    steady = isinstance(effect, ParameterEffect) and effect.steady
+    return "" if steady else known.refuses(rival.worth)
 
 
 def benefit_objection(

@@ -30,7 +30,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.interpolation import likelier_interpolation_fit
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.suggestions import sort_by_net, suggestions
-from spiral.inference.likelihood.tolerances import tolerances_of
+from spiral.inference.likelihood.tolerances import refitted_tolerances
 from spiral.inference.nearness import (
     is_near_noise,
     leaves_less_than_noise,
@@ -299,7 +299,11 @@ def _race_candidates(
     if scored is not None:
         progress(scored(ranked))
     race = start_race(assembly, base, list(ranked.ranked), select, progress, options.rivals)
-    return base, ranked, replace(race, tolerances=tolerances_of(ranked))
+    return (
+        base,
+        ranked,
+        replace(race, tolerances=refitted_tolerances(assembly, base, ranked, select)),
+    )
 
 
 def _score_message(ranking: Ranking) -> ScoreMessage:
