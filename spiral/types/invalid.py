@@ -332,9 +332,8 @@ def _edge_spike_mask(values: Array, scale: Array) -> Array:
     mistake is harmless; where most of them are off, the signal moves so.
     """
     spikes = np.zeros(len(values), dtype=bool)
-    if not scale.min() > 1e-9 * float(
-        np.ptp(values)
-    ):  # without noise a step at an end is no less sharp
+    exact = 1e-9 * float(np.ptp(values))
+    if not scale.min() > exact:  # without noise a step at an end is no less sharp
         return spikes
     y = values.copy()
     for z, mask, usual in ((y, spikes, scale), (y[::-1], spikes[::-1], scale[::-1])):

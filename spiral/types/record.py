@@ -14,12 +14,7 @@ import numpy as np
 from spiral.types.clock import MINIMUM_SAMPLES, check_forward, check_time, check_uniform
 from spiral.types.errors import InputError, did_you_mean
 from spiral.types.formatting import extent
-from spiral.types.invalid import (
-    InvalidReadings,
-    bridged,
-    clipping,
-    spoilt_readings,
-)
+from spiral.types.invalid import InvalidReadings, bridged, clipping, spoilt_readings
 from spiral.types.noise import estimate_noise
 from spiral.types.parameter import HELD, Input, Interpolation
 from spiral.types.probing import readings_with_rates
@@ -121,17 +116,15 @@ class Record:
 
     def followed_by(self, later: Record) -> Record:
         """The record and the next part of the same series, as one, with its own noise."""
-        count = (self.samples, later.samples)
+        edges = ((self, (0, later.samples)), (later, (self.samples, 0)))
 
         def joined(one: Mapping[str, Array], other: Mapping[str, Array]) -> dict[str, Array]:
             return {k: np.concatenate([v, other[k]]) for k, v in one.items()}
 
         spoilt = {
-            k: tuple(s.padded(*edges) for part, edges in ((self, (0, count[1])),
-                                                          (later, (count[0], 0)))
-                     for s in part.spoilt.get(k, ()))
+            k: tuple(s.padded(*beside) for part, beside in edges for s in part.spoilt.get(k, ()))
             for k in {*self.spoilt, *later.spoilt}
-        }  # fmt: skip
+        }
         return replace(
             self, time=np.concatenate([self.time, later.time]), noise=self.sigma(), truth={},
             channels=joined(self.channels, later.channels),

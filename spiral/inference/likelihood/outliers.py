@@ -1,13 +1,14 @@
 """Single readings that only their sensor's fault explains: found by the filter, and left out.
 
 Whether a spike in a force or an acceleration is the sensor's or the machine's the signal does not
-tell. Its one-step prediction misses by e_k, whitened and over the robust deviation of its channel
-(1.48 times the median); a reading is doubted where |e_k| is above ``_OUT`` and larger than those of
-the samples beside it, and where the reading is as far from its neighbours: r_k of ``types.invalid``
-is at least three quarters of the miss. After a step of the signal it is half. The
-filter then runs without all that are doubted. One of them is the
-machine's where that has moved otherwise since: where over the next ``_AFTER`` samples the mean
-square of what all sensors miss is above all but ``_RARE`` of those after other readings.
+tell. The one-step prediction misses a reading by e_k, whitened and over the robust deviation of its
+channel (1.48 times the median). It is doubted where |e_k| is above ``_OUT`` and larger than those
+of the samples beside it, and where it is as far from its neighbours: r_k of ``types.invalid`` is at
+least three quarters of the miss (half of it after a step of the signal).
+
+The filter then runs without all that are doubted. One of them is the machine's where that has moved
+otherwise since: where over the next ``_AFTER`` samples the mean square of what all sensors miss is
+above all but ``_RARE`` of those after other readings.
 """
 
 from __future__ import annotations
