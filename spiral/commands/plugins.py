@@ -123,9 +123,13 @@ def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, st
 
     entry, failures = next((e, failed(checks)) for e, checks in checked if failed(checks))
     more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
+    kind = "plugin" if entry.file.endswith(".py") else "model"
+    passing = f"a {kind} that passes {failures[0].name!r}"
+    if failures[0].name in ("record", "test"):
+        passing = "records that this model can read"
     return {
         "given": f"{entry.kind} {failures[0].on}, in {entry.file}: {failures[0].seen}",
-        "expected": f"a plugin that passes {failures[0].name!r}{more}",
+        "expected": f"{passing}{more}",
         "try": failures[0].try_,
     }
 
