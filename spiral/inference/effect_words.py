@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from spiral.physics.formulas.laws import law_meaning
-from spiral.types.effect import Effect, ForceEffect, ParameterEffect, SensorEffect
+from spiral.types.effect import (
+    Effect,
+    ForceEffect,
+    ParameterEffect,
+    SensorEffect,
+    is_other_value,
+)
 from spiral.types.formatting import first_words, join_words, number
 from spiral.types.model import Model, pretty_unit
 from spiral.types.placement import at_every_place
@@ -57,7 +63,7 @@ def _label_with_place(model: Model, label: str, least_t: float) -> str:
     Of a parameter that varies it is said what it follows, of a law what it is.
     """
     effect = next((e for e in model.effects if e.label == label), None)
-    if isinstance(effect, ParameterEffect) and effect.steady:
+    if is_other_value(effect):
         return f"{label} ({_other_value(model, effect)})"
     if isinstance(effect, ParameterEffect):
         port = model.system.place(effect)

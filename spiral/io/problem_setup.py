@@ -13,7 +13,7 @@ from spiral.inference.evidence.scales import with_scaled_shapes
 from spiral.inference.problem import Problem, Settings
 from spiral.inference.strategies.base import Strategy
 from spiral.io.registry import Registry
-from spiral.types.effect import Effect, ParameterEffect
+from spiral.types.effect import Effect, is_other_value
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
 from spiral.types.placement import check_effect
@@ -49,8 +49,7 @@ def candidates_for(
 
 def _is_of_freed(model: Model, effect: Effect) -> bool:
     """Whether an effect gives another value to a parameter that is found in any case."""
-    steady = isinstance(effect, ParameterEffect) and effect.steady
-    return steady and varied_key(model.system.place(effect)) in model.freed
+    return is_other_value(effect) and varied_key(model.system.place(effect)) in model.freed
 
 
 def check_holdout(share: float, blocks: int) -> None:

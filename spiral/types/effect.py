@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from types import SimpleNamespace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeGuard
 
 from spiral.types.label import make_label
 from spiral.types.parameter import Parameter, State
@@ -181,6 +181,11 @@ class ParameterEffect(Effect):
     @abstractmethod
     def factor(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> Any:
         """The factor, 1 where all amplitudes are zero; ``at.position[0]`` is what it follows."""
+
+
+def is_other_value(effect: object) -> TypeGuard[ParameterEffect]:
+    """Whether an effect is that a known parameter has another value than was given."""
+    return isinstance(effect, ParameterEffect) and effect.steady
 
 
 class FlowEffect(Effect):

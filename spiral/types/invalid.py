@@ -28,7 +28,8 @@ import numpy as np
 
 Array = np.ndarray
 
-_ROBUST, _OUT = 1.4826, 12.0  # median to standard deviation; how many of these stand out
+ROBUST = 1.4826  # standard deviation over the median size, of normal noise
+_OUT = 12.0  # of these deviations, from which a reading stands out
 _AGREE = 4.0  # how many of these the neighbours may be off once one reading is mended
 _MOST = 0.05  # share of spikes beyond which they are the signal itself
 _MOST_STILL = 0.3  # share of held or clipped readings beyond which they are how it moves
@@ -292,7 +293,7 @@ def _spike_mask(values: Array) -> Array:
         return spikes
     y = values.copy()
     rounding = float(np.sqrt(np.sum(_OWN**2) / 12)) * reading_step(y)
-    scale = np.maximum(_ROBUST * _usual_sizes(cubic_residual(y)), rounding)
+    scale = np.maximum(ROBUST * _usual_sizes(cubic_residual(y)), rounding)
     last = np.ones(1)
     while last.any() and spikes.sum() <= _MOST * len(y):
         last = np.zeros(len(y), dtype=bool)

@@ -146,34 +146,17 @@ def test_a_spring_is_no_driver_of_the_mass_at_its_other_end():
     assert [place_name(p) for p in system.cross_read] == ["a-F", "a-b", "b-F", "b-a"]
 
 
+def slow(*values):
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(
     ("record", "system", "name", "key", "truth"),
     [
-        pytest.param(
-            lambda: turned(emf=EMF),
-            motor,
-            "state_coupling@i-w",
-            "gain",
-            -EMF / L,
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            lambda: turned(crosstalk=WIRED),
-            motor,
-            "input_coupling@i-load",
-            "gain",
-            -WIRED / L,
-            marks=pytest.mark.slow,
-        ),
+        slow(lambda: turned(emf=EMF), motor, "state_coupling@i-w", "gain", -EMF / L),
+        slow(lambda: turned(crosstalk=WIRED), motor, "input_coupling@i-load", "gain", -WIRED / L),
         (lambda: warmed(SUN), body, "cross_sensitivity@T-sun", "gain", SUN),
-        pytest.param(
-            lambda: heated(current=1.2),
-            coil,
-            "quadratic_state_coupling@T-i",
-            "gain",
-            1.2 / 30,
-            marks=pytest.mark.slow,
-        ),
+        slow(lambda: heated(current=1.2), coil, "quadratic_state_coupling@T-i", "gain", 1.2 / 30),
         (lambda: heated(field=9.0), coil, "quadratic_input_coupling@T-E", "gain", 9.0 / 30),
     ],
     ids=["back-EMF", "crosstalk", "thermometer in the sun", "Joule heat", "heat of a field"],

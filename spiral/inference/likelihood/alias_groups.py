@@ -6,7 +6,7 @@ import numpy as np
 
 from spiral.engine.likelihood.predict import log_likelihood
 from spiral.inference.likelihood.candidates import Rival
-from spiral.types.effect import ParameterEffect, SensorEffect
+from spiral.types.effect import SensorEffect, is_other_value
 from spiral.types.label import make_label
 
 TWIN = 0.98  # share of the gain from which a declared twin counts as one
@@ -67,7 +67,7 @@ def simplest_rival(
 
     def complexity(one: Rival) -> tuple[bool, bool, int, bool]:
         effect = one.ranked.variant.original
-        doubted = isinstance(effect, ParameterEffect) and effect.steady  # what was given is trusted
+        doubted = is_other_value(effect)  # what was given is trusted
         return doubted, _is_sensor_effect(one), len(effect.parameters), one.label not in special
 
     chosen = min(group, key=complexity)

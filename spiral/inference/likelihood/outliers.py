@@ -25,10 +25,10 @@ from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.fitting import LikelihoodFit, prepare_filter_tasks
 from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.problem import Progress
-from spiral.types.invalid import bridged, cubic_residual
+from spiral.types.invalid import ROBUST, bridged, cubic_residual
 from spiral.types.record import Array, Record
 
-_ROBUST, _OUT = 1.4826, 8.0  # median to standard deviation; how many of these are doubted
+_OUT = 8.0  # robust deviations from which a reading is doubted
 _ALONE = 0.75  # share of a miss that a reading is off its neighbours; half after a step
 _BESIDE = 3  # samples on each side that miss less
 _AFTER = 8  # samples over which a force that acted shows in the motion
@@ -90,7 +90,7 @@ def _doubted_readings(part: Prediction, readings: Array, channels: Sequence[str]
         size, known = np.abs(part.whitened[:, j]), part.spreads[:, j] > 0
         if not known.any():
             continue
-        usual = _ROBUST * float(np.median(size[known]))
+        usual = ROBUST * float(np.median(size[known]))
         around = np.lib.stride_tricks.sliding_window_view(np.pad(size, _BESIDE), 2 * _BESIDE + 1)
         apart = np.abs(cubic_residual(bridged(readings[:, j], ~known)))
         mask = (size > _OUT * usual) & (size >= around.max(axis=1))

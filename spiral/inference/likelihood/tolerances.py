@@ -13,16 +13,17 @@ with these values as well: sizes of noise that made up for them shrink.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.evidence.scoring import RankedCandidate, Ranking
 from spiral.inference.likelihood.fitting import WARM, LikelihoodFit, fit_by_likelihood
 from spiral.inference.problem import DECISIVE_ODDS
-from spiral.types.effect import ParameterEffect
+from spiral.types.effect import is_other_value
 from spiral.types.formatting import percent
 from spiral.types.port import varied_key
 
@@ -54,19 +55,23 @@ class Tolerances:
 
 def tolerances_of(ranking: Ranking) -> Tolerances:
     """What the known parameters among the candidates (``other_value``) explain, off a little."""
-    known = [
-        (r.variant.original, r.columns) for r in ranking.ranked
-        if isinstance(r.variant.original, ParameterEffect) and r.variant.original.steady
-    ]  # fmt: skip
+    known = list(_known_values(ranking))
     if not known:
         return Tolerances()
     table = ranking.table
-    a = table.triangle[:, [c for _, columns in known for c in columns]]
+    a = table.triangle[:, [c for _, one in known for c in one.columns]]
     stiff = a.T @ a + np.eye(a.shape[1]) / TOLERANCE**2
     errors = np.linalg.solve(stiff, a.T @ table.target)
     gain = 0.5 * float(table.target @ (a @ errors))
-    names = [e.port or e.label for e, _ in known]
-    return Tolerances(gain, tuple(zip(names, errors.tolist(), strict=True)))
+    return Tolerances(gain, tuple(zip((n for n, _ in known), errors.tolist(), strict=True)))
+
+
+def _known_values(ranking: Ranking) -> Iterator[tuple[str, RankedCandidate]]:
+    """The known parameters among the candidates, by the name of their place."""
+    for ranked in ranking.ranked:
+        effect = ranked.variant.original
+        if is_other_value(effect):
+            yield effect.port or effect.label, ranked
 
 
 def refitted_tolerances(
@@ -82,11 +87,9 @@ def refitted_tolerances(
         return told
     system, values = assembly.problem.model.system, base.state.values.copy()
     errors = dict(told.errors)
-    for ranked in ranking.ranked:
-        effect = ranked.variant.original
-        if isinstance(effect, ParameterEffect) and effect.steady:
-            key = varied_key(system.place(effect))
-            values[:, assembly.study.index(key)] *= 1 + errors[effect.port or effect.label]
+    for name, ranked in _known_values(ranking):
+        key = varied_key(system.place(ranked.variant.original))
+        values[:, assembly.study.index(key)] *= 1 + errors[name]
     state = replace(base.state, values=values)
     fit = fit_by_likelihood(assembly, state, masks=masks, steps=WARM, rough=True)
     prior = 0.5 * sum((error / TOLERANCE) ** 2 for error in errors.values())

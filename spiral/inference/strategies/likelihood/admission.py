@@ -85,7 +85,7 @@ from spiral.inference.strategies.likelihood.superfluous import (
 from spiral.inference.strategies.likelihood.twins import untold_twin
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import LIKELIHOOD_RATIO_T
-from spiral.types.effect import Effect, ParameterEffect
+from spiral.types.effect import Effect, is_other_value
 from spiral.types.label import owner_of, without_variant
 from spiral.types.run import Comparison
 
@@ -309,9 +309,8 @@ def _within_tolerances(rival: Rival, known: Tolerances) -> str:
 
     Also where it is such a value itself: it is told with what it is.
     """
-    effect = rival.ranked.variant.original
-    steady = isinstance(effect, ParameterEffect) and effect.steady
-    return "" if steady else known.refuses(rival.worth)
+    itself = is_other_value(rival.ranked.variant.original)
+    return "" if itself else known.refuses(rival.worth)
 
 
 def benefit_objection(
