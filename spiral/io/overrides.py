@@ -165,10 +165,15 @@ def set_value(tree: dict[str, Any], item: Assignment, is_open: tuple[str, ...]) 
         node = node[word]
 
 
+_SWITCHES = {"True": True, "False": False, "on": True, "off": False}
+
+
 def _assign_value(node: dict[str, Any], word: str, item: Assignment, mapping: bool) -> None:
     plugin = len(item.path) > 1 and isinstance(node[word], dict) and "name" in node[word]
     if item.delete:
         node[word] = {} if isinstance(node[word], dict) else None
+    elif isinstance(node[word], dict) and "enabled" in node[word] and str(item.value) in _SWITCHES:
+        node[word]["enabled"] = _SWITCHES[str(item.value)]
     elif isinstance(node[word], dict) and not mapping and not plugin:
         raise ConfigError(
             f"{item.text!r}",
