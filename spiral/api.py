@@ -73,7 +73,7 @@ def read(
     made = _system(system, registry)
     if parts and all(map(is_frame, parts)):
         source = registry.make("source", "file", {"path": NAME, **fields}, "record")
-        tables = map(table_of, parts)
+        tables = [table_of(part, fields.get("decimal") or ".") for part in parts]
         records = [r for table in tables for r in source.records_of(made, table, NAME)]
     elif isinstance(given, Mapping):
         records = _plugin("source", {**given, **fields}, registry).load(made)
@@ -397,7 +397,8 @@ def _records(given: Records) -> tuple[Record, ...]:
     ConfigError : what is none: a system where the arguments were exchanged, the path of a file.
     """
     one_or_more: Any = given
-    if isinstance(given, Record | str | Mapping) or not isinstance(given, Iterable):
+    single = isinstance(given, Record | str | Mapping) or hasattr(given, "columns")
+    if single or not isinstance(given, Iterable):
         one_or_more = (given,)
     records = tuple(one_or_more)
     for one in records:

@@ -12,6 +12,7 @@ from spiral_plugins.effects.sensors import (
     delay_curvature,
     delayed,
     half_sample_remark,
+    late_by,
     scale_remark,
 )
 
@@ -111,6 +112,10 @@ class ActuatorLag(InputEffect):
         """(u - z) / T."""
         (given,) = at.position
         return {"followed": (given - at.own.followed) / p.time_constant}
+
+    def limit_values(self, values):
+        """A sensor's lag or a delay of s T, by which slow motion is late."""
+        return late_by(values["share"] * values["time_constant"])
 
     def remark(self, values, step):
         """Remarks on a lag of half a sample, and on a share near 2, which stands for a delay."""
@@ -260,6 +265,10 @@ class InputDelay(InputEffect):
 
     def _halfway(self, at, p):
         return delayed(at.position[0], at.own.level, at.own.slope, p.time / p.scale)
+
+    def limit_values(self, values):
+        """A sensor's delay or lag of the same time."""
+        return late_by(values.get("time", 0.0))
 
     def remark(self, values, step):
         """Remarks on a negative delay, and on one of half a sample."""

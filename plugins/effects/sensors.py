@@ -13,15 +13,22 @@ from spiral.types.parameter import Parameter, State
 
 _TURN = 6.283185307179586
 _NEAR = 0.1  # samples around half a sample
+_CONVERSIONS = (
+    (180 / math.pi, "rad", "degrees"),
+    (2 * math.pi, "turns", "rad"),
+    (30 / math.pi, "rad/s", "rpm"),
+    (9.80665, "g", "m/s^2"),
+    (60.0, "minutes", "seconds"),
+    (3600.0, "hours", "seconds"),
+    (3.6, "m/s", "km/h"),
+    (25.4, "inches", "mm"),
+    (14.503774, "bar", "psi"),
+    (4.4482216, "lbf", "N"),
+)  # a number of the first unit times the factor is one of the second
 _UNITS = {
     **{10.0**k: f"10^{k}" for k in (-9, -6, -3, -2, 2, 3, 6, 9)},
-    9.80665: "g, 9.81 m/s^2",
-    180 / math.pi: "rad to degrees",
-    math.pi / 180: "degrees to rad",
-    2 * math.pi: "turns to rad",
-    60.0: "minutes to seconds",
-    3.6: "m/s to km/h",
-    25.4: "inches to mm",
+    **{factor: f"{one} to {other}" for factor, one, other in _CONVERSIONS},
+    **{1 / factor: f"{other} to {one}" for factor, one, other in _CONVERSIONS},
 }  # of factors: what they convert
 _LATE = 1.5  # T over z halfway between a lag (1) and a delay (2)
 SCALE = Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True)
@@ -89,6 +96,11 @@ class AxisRotation(SensorEffect):
         return [first + p.angle * second, second - p.angle * first]
 
 
+def late_by(time):
+    """How each effect that is late names its values, for one that is late by so much."""
+    return {"time": time, "scale": time, "share": 1.0, "time_constant": time}
+
+
 class Delay(SensorEffect):
     """A sensor that reports late by T_i: reading = y_i + (q_i(t - T_i) - q_i).
 
@@ -136,6 +148,10 @@ class Delay(SensorEffect):
     def _halfway(self, at, p):
         rows = zip(at.position, at.own.level, at.own.slope, p.time, strict=True)
         return [delayed(q, a, b, late / p.scale) for q, a, b, late in rows]
+
+    def limit_values(self, values):
+        """A lag of the same time."""
+        return late_by(values.get("time", 0.0))
 
     def remark(self, values, step):
         """Remarks on a negative delay, and on one of half a sample."""
@@ -188,6 +204,10 @@ class SensorLag(SensorEffect):
         rows = zip(at.position, at.own.level, strict=True)
         return {"level": [(q - a) / p.scale for q, a in rows]}
 
+    def limit_values(self, values):
+        """An actuator's lag or a delay of the same time."""
+        return late_by(values.get("time", 0.0))
+
     def contradiction(self, fitted):
         """With T near 2 z it is Pade's first approximation of a delay of T, and no lag."""
         times = [v for k, v in fitted.items() if k.startswith("time")]
@@ -203,8 +223,8 @@ def scale_remark(factors):
         return f"a factor of {worst:.4g} turns the sign: a channel or an input has the other sense"
     if 0.5 <= worst <= 2:
         return ""
-    near = next((told for f, told in _UNITS.items() if 0.97 < worst / f < 1.03), "")
-    told = f" (near {near})" if near else ""
+    nearest = min(_UNITS, key=lambda f: abs(math.log(worst / f)))
+    told = f" (near {_UNITS[nearest]})" if 0.97 < worst / nearest < 1.03 else ""
     return f"a factor of {worst:.4g}{told} is a wrong unit or range sooner than a wrong scale"
 
 

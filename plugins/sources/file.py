@@ -8,7 +8,7 @@ from spiral.io.readers.table import Table
 
 
 class File(Columns):
-    """Columns of text, MAT, NPZ, Parquet, HDF5, UFF or TDMS files, told by their content.
+    """Columns of text, MAT, NPZ, Parquet, HDF5, UFF, TDMS or Excel files, told by their content.
 
     A column inside a container is named as in ``group/name``, ``struct.field``, ``cell[0]``; a
     matrix is a set of series along its longer side, the second one ``matrix[1]``.

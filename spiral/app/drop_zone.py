@@ -6,7 +6,7 @@ from nicegui import ui
 
 from spiral.app.upload import MOST, too_large_error
 
-READS = "CSV and other text, Parquet, MATLAB, NPZ, HDF5, UFF, TDMS"
+READS = "CSV and other text, Parquet, MATLAB, NPZ, HDF5, UFF, TDMS, Excel"
 
 
 def drop_zone(beside: str = "") -> None:

@@ -136,21 +136,27 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
             "it"
         )
     reasons += comparison.contradictions
+    if explains_nothing(comparison):
+        reasons.append(
+            f"its free run misses {percent(comparison.fit_error)} of the motion that it was fitted "
+            "to: noise as large as that explains nothing"
+        )
     for name, share in coloured_noise(comparison).items():
         if share > settings.noise_limit:
             where = name.partition(".")[2]
             reasons.append(f"the noise of sensor {where} would be {percent(share)} of its signal")
-    if is_error_unexplained(comparison, settings) and is_free_run_carried_away(comparison):
-        ahead = percent(next_sample_error(comparison) or 0.0)
-        reasons.append(f"one sample ahead the error on unseen data is {ahead}")
-    elif is_error_unexplained(comparison, settings):
-        made = percent(
-            float(np.hypot(_free_run_floor(comparison, settings), _random_spread(comparison)))
-        )
-        reasons.append(
-            f"the test error is {percent(comparison.test_error)} where noise explains {made}"
-        )
+    if is_error_unexplained(comparison, settings):
+        reasons.append(_unexplained_error_words(comparison, settings))
     return tuple(reasons)
+
+
+def _unexplained_error_words(comparison: Comparison, settings: Settings) -> str:
+    if is_free_run_carried_away(comparison):
+        ahead = percent(next_sample_error(comparison) or 0.0)
+        return f"one sample ahead the error on unseen data is {ahead}"
+    made = float(np.hypot(_free_run_floor(comparison, settings), _random_spread(comparison)))
+    error = percent(comparison.test_error)
+    return f"the test error is {error} where noise explains {percent(made)}"
 
 
 def _moves_little(comparison: Comparison, settings: Settings) -> bool:
@@ -272,6 +278,15 @@ def predicts_nothing(comparison: Comparison, settings: Settings) -> bool:
     return not comparison.test_error < 1.0 and (
         is_drowned_in_noise(comparison, settings) or is_error_unexplained(comparison, settings)
     )
+
+
+def explains_nothing(comparison: Comparison) -> bool:
+    """Whether free runs err by all the motion, of the fitted record as well.
+
+    The mean of a record does better; right or wrong, no model is told by noise so large.
+    """
+    away = is_free_run_carried_away(comparison)
+    return not away and not min(comparison.fit_error, comparison.test_error) < 1.0
 
 
 def is_drowned_in_noise(comparison: Comparison, settings: Settings) -> bool:

@@ -142,10 +142,16 @@ class Problem:
         return tuple(e for e in self.candidates if is_beside(e))
 
     def spoilt_sentences(self) -> tuple[str, ...]:
-        """What readings are no measurement, in words; those of the test records named as such."""
+        """Doubts of the records, once each, and what readings are no measurement, in words.
+
+        Those of the test records are named as such.
+        """
+        doubts: dict[str, str] = {}
+        for record in (*self.records, *self.test):
+            doubts = {**record.doubts, **doubts}
         fitted = [words for r in self.records for words in r.spoilt_words]
         tested = [f"in the test record, {words}" for r in self.test for words in r.spoilt_words]
-        return (*fitted, *tested)
+        return (*doubts.values(), *fitted, *tested)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:
         """The same with these interpolations of inputs (``Record.running``)."""

@@ -23,7 +23,7 @@ Quantity = str | float | Sequence[Any] | Mapping[str, Any]
 
 def structure(
     source: str | Path | Mapping[str, Any],
-    nodes: str | Path | Mapping[str, Any],
+    nodes: str | Path | Mapping[str, Any] | Sequence[Mapping[str, Any]],
     *,
     size: int = 20,
     band: Sequence[float],
@@ -42,7 +42,8 @@ def structure(
         the input ``speed``) and parts ``K_NAME`` of the stiffness beside K; or name -> array,
         sparse matrix, Matrix Market or Harwell-Boeing file.
     nodes : degrees of freedom that are kept: CSV with the columns ``name, dof, use, unit``, or name
-        -> ``{"dof": 12, "use": "sensor input port"}``; ``dof`` counts from zero.
+        -> ``{"dof": 12, "use": "sensor input port"}``, or a list of such rows with their ``name``;
+        ``dof`` counts from zero.
     size : coordinates that are left: the nodes, and modes with the nodes held.
     band : Hz, where the response is compared with that of the full structure (``report``).
     pairs : port -> two nodes between which effects act.

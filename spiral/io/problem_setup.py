@@ -55,7 +55,7 @@ def _is_of_freed(model: Model, effect: Effect) -> bool:
 def check_holdout(share: float, blocks: int) -> None:
     """Refuse a share or a number of blocks that leaves too little to fit or to test."""
     if not 0.02 <= share <= 0.9:
-        raise ConfigError(f"holdout={share:g}", "a share between 0.02 and 0.9")
+        raise ConfigError(f"holdout={share:g}", "a share between 0.02 and 0.9", "holdout=0.2")
     if not (isinstance(blocks, int) and 1 <= blocks <= MOST_BLOCKS):
         raise ConfigError(f"holdout_blocks={blocks}", f"a whole number from 1 to {MOST_BLOCKS}")
 

@@ -71,7 +71,8 @@ def check_rest(
     finite = next(((p, parts) for p, parts in asked if np.isfinite(parts[0]).all()), None)
     if finite is None:
         name = getattr(system, "path", "") or system.plugin_name()
-        raise _not_finite_error(f"system {system.title!r}", name, _PLACES[-1])
+        zero = [p.name for p in system.parameters if p.start == 0]
+        raise _not_finite_error(f"system {system.title!r}", name, _PLACES[-1], zero)
     where, alone = finite
     for effect in (*effects, *(candidates if where is _AT_ZERO else ())):
         beside = _evaluate_traced_at_rest(trace(system, (effect,)), values, where)
@@ -118,13 +119,14 @@ def undefined_effects_along(
     return tuple(labels)
 
 
-def _not_finite_error(who: str, name: str, where: _Rest) -> PluginError:
+def _not_finite_error(who: str, name: str, where: _Rest, zero: Sequence[str] = ()) -> PluginError:
+    first = f"another value than zero of {', '.join(zero)}; " if zero else ""
     beside = "" if where is _AT_ZERO else f", nor {where.told}"
     return PluginError(
         f"{who} is no number at rest (zero states and inputs){beside}",
         "finite values and slopes there",
-        "spiral.math.length for |q|, a smooth form such as tanh(v/w), or a state that begins "
-        f"elsewhere (start); spiral check {name}",
+        f"{first}spiral.math.length for |q|, a smooth form such as tanh(v/w), or a state that "
+        f"begins elsewhere (start); spiral check {name}",
     )
 
 

@@ -81,7 +81,7 @@ class Effect(Plugin):
         return ""
 
     def limit_values(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Values that its ``special`` cases begin with, where they are called otherwise there.
+        """Values that its ``special`` cases and twins begin with, where they are called otherwise.
 
         ``values`` and the answer are by parameter name.
         """

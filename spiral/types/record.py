@@ -46,6 +46,8 @@ class Record:
     hold : how an input runs between its samples, by name, where not as its system says.
     growth : channel -> (c, h, m) where its noise grows with the reading y: its variance is
         (1 + ((y - c) / h)^2) / m times that of the others.
+    doubts : questions to who gave the record, by what they ask after (a series of which nobody said
+        the unit, and which is unlikely in the system's).
     """
 
     name: str
@@ -59,6 +61,7 @@ class Record:
     spoilt: Mapping[str, tuple[InvalidReadings, ...]] = field(default_factory=dict)
     hold: Mapping[str, Interpolation] = field(default_factory=dict)
     growth: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    doubts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         time = _as_numbers(self.name, "time", self.time)
@@ -179,8 +182,8 @@ class Record:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Notes, and which readings are invalid."""
-        return (*self.notes, *self.spoilt_words)
+        """Notes, doubts, and which readings are invalid."""
+        return (*self.notes, *self.doubts.values(), *self.spoilt_words)
 
     def reading(self, channel: str) -> Array:
         """A channel, interpolated linearly where its readings are invalid."""
@@ -424,8 +427,9 @@ def check_values(name: str, kind: str, key: str, values: Array, samples: int) ->
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad):
         raise InputError(
-            f"{name}: {kind} {key!r} has {len(bad)} missing values, the first at row {bad[0]}",
-            "a number in every row",
+            f"{name}: {kind} {key!r} has {len(bad)} missing values of {len(values)}, the first at "
+            f"row {bad[0]}",
+            "a number in every row; of a channel half of them may be missing",
             "cut the gap out with record.rows, or give the parts as several records",
         )
     if kind == "channel" and np.ptp(values) == 0:

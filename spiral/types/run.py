@@ -394,6 +394,12 @@ class Run:
         """The final model's parameters as a pandas table: estimate, se, t, unit."""
         return _estimate_table(self.as_dict())
 
+    def look_alikes(self, label: str) -> tuple[str, ...]:
+        """Effects outside the final model that the record cannot tell from one that was added."""
+        added = {x for r in self.rounds for x in r.admitted if x in self.model.labels}
+        alike = dict.fromkeys(a for r in self.rounds for a in r.aliases.get(label, ()))
+        return tuple(a for a in alike if a not in added)
+
     @property
     def final(self) -> Comparison:
         """The comparison of the last round."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 import spiral
@@ -30,6 +31,32 @@ def test_a_frame_is_read_as_its_file_is(frame, tmp_path):
         record = spiral.read(given, "oscillator", **FIELDS)
         np.testing.assert_allclose(record.channels["x"], whole.channels["x"])
         np.testing.assert_allclose(record.time, whole.time)
+
+
+def test_masked_readings_are_missing_ones(frame):
+    hidden = np.arange(COUNT) % 50 == 7
+    given = {**frame, "x": np.ma.masked_array(frame["x"] + 100 * hidden, hidden)}
+    with pytest.raises(InputError, match="8 missing values"):
+        spiral.read(given, "oscillator", **FIELDS)
+    record = spiral.read(given, "oscillator", **FIELDS, missing="leave_out")
+    assert record.gone("x").sum() == 8
+
+
+def test_tables_of_other_libraries_and_decimal_commas_are_read(frame):
+    whole = spiral.read(frame, "oscillator", **FIELDS).channels["x"]
+    commas = frame.assign(x=[str(v).replace(".", ",") for v in frame["x"]])
+    for given, more in ((pa.Table.from_pandas(frame), {}), (commas, {"decimal": ","})):
+        record = spiral.read(given, "oscillator", **FIELDS, **more)
+        np.testing.assert_allclose(record.channels["x"], whole)
+
+
+def test_rows_and_frames_in_the_place_of_a_record_are_told_what_to_do(frame):
+    with pytest.raises(InputError, match="DataFrame"):
+        spiral.read(frame.to_dict("records"), "oscillator", **FIELDS)
+    with pytest.raises(ConfigError, match="a DataFrame where a record"):
+        spiral.discover(frame, "oscillator")
+    with pytest.raises(InputError, match="as in all 400 rows"):
+        spiral.read(frame.assign(x=np.nan), "oscillator", **FIELDS)
 
 
 def test_units_in_names_are_those_of_the_file(frame, tmp_path):

@@ -1,14 +1,17 @@
 """Files of numbers that would hang, flood the memory, run code or read another file."""
 
+import contextlib
 import pickle
 import struct
 import subprocess
 import sys
 import time
+import zipfile
 import zlib
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -130,6 +133,33 @@ def test_a_small_npz_that_unpacks_to_much_is_refused_before(tmp_path):
     said, peak = done.stdout.splitlines()
     assert "that unpack to 0.6 GB" in said
     assert int(peak) < 500_000  # kB
+
+
+@pytest.mark.hostile("files")
+def test_a_workbook_that_unpacks_to_much_is_refused_before(tmp_path):
+    file = tmp_path / "flood.xlsx"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/workbook.xml", b" " * 300_000_000)
+    with pytest.raises(InputError, match="300 MB when unpacked"):
+        read_table(str(file))
+    file.write_bytes(file.read_bytes()[:10_000])
+    with pytest.raises(InputError):
+        read_table(str(file))
+
+
+@pytest.mark.hostile("files")
+def test_cells_far_out_of_a_workbook_take_little(tmp_path):
+    book = openpyxl.Workbook()
+    for row in range(1, 200):
+        for column, value in ((1, row if row > 1 else "t"), (2, row / 7 if row > 1 else "x")):
+            book.active.cell(row, column, value)
+    book.active.cell(200, 16384, "far")
+    book.active.cell(1_048_576, 1, "down")
+    book.save(tmp_path / "far.xlsx")
+    clock = time.process_time()
+    with contextlib.suppress(InputError):
+        read_table(str(tmp_path / "far.xlsx"))
+    assert time.process_time() - clock < 30
 
 
 def test_a_plain_large_file_is_no_flood():

@@ -16,11 +16,13 @@ from spiral.inference.rounds import (
     strategy_for,
 )
 from spiral.inference.strategies.likelihood.look_alikes import _runners_up
+from spiral.io.registry import load_registry
 from spiral.types.model import Model, seed_model
 from spiral.types.run import Suggestion
 from tests.marks import others_slow
 from tests.scenes import SEED_TRUTH, admitted, effect, planar_problem, planar_record
 
+REGISTRY = load_registry()
 STIFF = SEED_TRUTH["linear_stiffness.stiffness_x"] - SEED_TRUTH["linear_stiffness.stiffness_y"]
 ANGLE = 0.05
 HIDDEN = {
@@ -159,3 +161,22 @@ def test_a_candidate_close_behind_an_effect_is_asked_again(net, close):
     much = [replace(told[0], net=0.999), replace(told[1], net=0.97)]
     assert _runners_up("exponential_loss", much) == ()
     assert _runners_up("another", told) == ()
+
+
+LATE = [e for e in REGISTRY.entries if e.kind == "effect" and getattr(e.plugin, "twins", ())]
+
+
+@pytest.mark.parametrize("name", [e.name for e in LATE])
+def test_an_effect_tells_all_values_that_its_twins_begin_with(name):
+    """A sensor's lag that begins at 0.01 s where an actuator's is 266 s leads nowhere."""
+    one = REGISTRY.make("effect", name)
+    own = {p.name: 2.0 for p in one.parameters}
+    told = {**own, **one.limit_values(own)}
+    for twin in (REGISTRY.make("effect", t) for t in one.twins):
+        assert {p.name for p in twin.parameters} <= set(told)
+
+
+def test_twins_are_late_by_the_same_time():
+    lag, delay = (REGISTRY.make("effect", n) for n in ("actuator_lag", "input_delay"))
+    assert lag.limit_values({"share": 0.5, "time_constant": 4.0})["time"] == 2.0
+    assert delay.limit_values({"time": 3.0, "scale": 1.0})["time_constant"] == 3.0

@@ -86,7 +86,8 @@ def test_a_problem_is_built_with_records_test_and_candidates():
 @pytest.mark.parametrize(("said", "meant"), [("off", False), ("false", False), ("on", True)])
 def test_a_switch_is_turned_by_its_groups_name(said, meant):
     config = composed(*ROTOR, f"tracking={said}")
-    assert config["tracking"]["enabled"] is meant and "uri" in config["tracking"]
+    assert config["tracking"]["enabled"] is meant
+    assert "uri" in config["tracking"]
 
 
 def test_mappings_lists_and_units_from_a_shell(own_file):

@@ -4,6 +4,7 @@ import contextlib
 import os
 import sys
 import tempfile
+import zipfile
 from pathlib import Path
 
 import h5py
@@ -105,6 +106,13 @@ def tdms(path):
         )
 
 
+def xlsx(path):
+    with pd.ExcelWriter(path, engine="openpyxl") as book:
+        pd.DataFrame({"made by": ["B"]}).to_excel(book, sheet_name="about", index=False)
+        table = pd.DataFrame({"t": TIME, "a [mm]": A, "f": F, "remark": ""})
+        table.to_excel(book, sheet_name="run 1", index=False, startrow=2)
+
+
 FORMATS = {
     "a.mat": (mat5, "Y[0][1]", "s.f", "t", 1.0),
     "b.mat": (mat73, "Y[0][1]", "s.f", "t", 1.0),
@@ -113,6 +121,7 @@ FORMATS = {
     "a.h5": (hdf5, "rig/a", "rig/f", "rig/t", 1e-6),
     "a.uff": (uff, "data[0]", "data[1]", "time", 1.0),
     "a.tdms": (tdms, "rig/a", "rig/f", "time", 1e-3),
+    "a.xlsx": (xlsx, "a", "f", "t", 1e-3),
 }
 
 
@@ -129,6 +138,24 @@ def test_the_content_decides_whatever_the_name(tmp_path, name):
     write(tmp_path / name)
     (tmp_path / name).rename(tmp_path / "a.bin")
     agrees(load(tmp_path / "a.bin", x, force, time), size)
+
+
+def test_of_a_workbook_with_several_tables_columns_are_named_with_their_sheet(tmp_path):
+    file = tmp_path / "a.xlsx"
+    moments = pd.Timestamp("2026-01-01") + pd.to_timedelta(TIME, unit="s")
+    with pd.ExcelWriter(file, engine="openpyxl") as book:
+        for sheet, values in (("one", F), ("two", A)):
+            table = pd.DataFrame({"t": moments, "x": values, "f": F})
+            table.to_excel(book, sheet_name=sheet, index=False)
+    agrees(load(file, "two/x", "one/f", "two/t"))
+
+
+def test_spreadsheets_that_are_no_excel_workbooks_are_told_what_to_become(tmp_path):
+    for name in ("content.xml", "Index/Document.iwa"):
+        with zipfile.ZipFile(tmp_path / "a.ods", "w") as archive:
+            archive.writestr(name, "x")
+        with pytest.raises(InputError, match="no Excel workbook"):
+            read_table(str(tmp_path / "a.ods"))
 
 
 def test_text_by_the_same_source(tmp_path):
@@ -208,9 +235,10 @@ def test_objects_of_matlab_are_left_out_and_series_beside_them_read(tmp_path):
     assert "object" not in caught.value.expected
 
 
-@pytest.mark.parametrize("module", ["h5py", "pyuff", "nptdms"])
+@pytest.mark.parametrize("module", ["h5py", "pyuff", "nptdms", "openpyxl"])
 def test_a_missing_library_names_the_extra(tmp_path, monkeypatch, module):
-    name = {"h5py": "a.h5", "pyuff": "a.uff", "nptdms": "a.tdms"}[module]
+    names = {"h5py": "a.h5", "pyuff": "a.uff", "nptdms": "a.tdms", "openpyxl": "a.xlsx"}
+    name = names[module]
     FORMATS[name][0](tmp_path / name)
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ConfigError, match="formats"):

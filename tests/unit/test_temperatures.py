@@ -18,6 +18,13 @@ parameters:
 free: [G]
 observed: [T]
 """
+HEATED = spiral.system(
+    lambda t, x, u, p: [(u.P - p.G * (x.T - u.Ta)) / p.C, x.w, -p.k * x.th],
+    states={"T": "K", "th": "rad", "w": "rad/s"}, inputs={"P": "W", "Ta": "K"},
+    observed=["T", "th"],
+    parameters={"C": (100.0, "J/K"), "G": (2.0, "W/K"), "k": (1.0, "1/s^2")},
+)  # fmt: skip
+TIME = np.arange(200) / 100
 
 
 @pytest.mark.parametrize(
@@ -95,6 +102,37 @@ def test_a_model_may_work_in_degrees(tmp_path):
     record = spiral.read(path, room(tmp_path, "degC"), time="t", units={"To": "degF"})
     np.testing.assert_allclose(record.channels["T"], rows[:, 1])
     np.testing.assert_allclose(record.inputs["To"], (rows[:, 3] - 32) * 5 / 9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("columns", "units", "asked"),
+    [
+        ({"T": 20.0 + TIME}, {}, {"T"}),
+        ({"T": 20.0 + TIME}, {"T": "degC"}, set()),
+        ({"T": 20.0 + TIME}, {"T": "K"}, set()),
+        ({"T": 40.0 * TIME}, {}, set()),  # a rise
+        ({"T": 290.0 + TIME}, {}, set()),
+        ({"Ta": 21.0 + 0.0 * TIME}, {}, {"Ta"}),
+        ({"th": 15 * np.sin(9 * TIME)}, {}, {"th"}),
+        ({"th": 15 * np.sin(9 * TIME)}, {"th": "deg"}, set()),
+        ({"th": 60 * TIME}, {}, set()),  # a shaft that turns
+    ],
+)
+def test_numbers_that_are_unlikely_in_a_unit_that_nobody_said_are_asked_after(
+    columns, units, asked
+):
+    usual = {"T": 290 + TIME, "th": np.sin(9 * TIME), "P": np.sin(TIME), "Ta": 290 + 0 * TIME}
+    record = spiral.read({"t": TIME, **usual, **columns}, HEATED, time="t", units=units)
+    assert set(record.doubts) == asked
+    assert all(name in said for name, said in record.doubts.items())
+    assert all(said in repr(record) for said in record.doubts.values())
+
+
+def test_a_rate_that_contradicts_a_column_of_time_is_asked_after():
+    usual = {"T": 290 + TIME, "th": np.sin(9 * TIME), "P": np.sin(TIME), "Ta": 290 + 0 * TIME}
+    for time, asked in ((TIME, {"time"}), (1000 * TIME / 2, set()), (np.arange(len(TIME)), set())):
+        record = spiral.read({"t": time, **usual}, HEATED, rate=2 / (TIME[1] - TIME[0]))
+        assert set(record.doubts) == asked
 
 
 def test_units_may_be_named_by_column(tmp_path):

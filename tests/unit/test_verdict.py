@@ -164,6 +164,17 @@ def test_a_free_run_that_misses_half_of_all_motion_is_no_proof(error, moved, wor
     assert verdict_sentence("nothing_missing", pushed, SETTINGS).startswith(words)
 
 
+def test_a_model_that_errs_by_all_the_motion_is_never_complete():
+    """White noise of 158 % of the motion explained a pendulum in degrees that was taken in rad."""
+    lost = replace(GOOD, fit_error=1.1, test_error=1.58, noise_floor=1.58, random={})
+    assert seed_verdict(Round(0, (), {}, {}, (), lost, 1.0), "whiteness", SETTINGS) == (
+        "unknown_structure"
+    )
+    assert any("misses 110 %" in said for said in shortfalls(lost, SETTINGS))
+    faint = replace(lost, fit_error=0.97)  # a little of the motion is told, the noise is the rest
+    assert not shortfalls(faint, SETTINGS)
+
+
 def test_a_noisy_sensor_hides_nothing():
     noisy = replace(GOOD, random={}, disturbed=1e-5, test_error=0.54, noise_floor=0.55)
     seed = Round(0, (), {}, {}, (), noisy, 1.0)

@@ -194,7 +194,7 @@ class Columns(Source):
         if self.resample is not None:
             series = resample_series(system, series, self.resample)
         told = _describe_layout(system, layout, self.rate)
-        return make_record(
+        record = make_record(
             system,
             Path(path).name + (f" rows [{start}, {stop})" if rows else ""),
             series.time,
@@ -205,6 +205,28 @@ class Columns(Source):
             hold=self.hold,
             filled=series.filled,
         )
+        seen = {**record.channels, **{n: record.inputs[n] for n in layout.inputs}}
+        doubts = own_units.unit_doubts(system, seen, layout.units)
+        return replace(record, doubts={**doubts, **self._rate_doubts(table)})
+
+    def _rate_doubts(self, table: Table) -> dict[str, str]:
+        """A question where the rate that was given is not that of a column of time."""
+        names = [c for n in _TIME_COLUMNS if (c := table.find_column(n))]
+        if self.rate is None or not names:
+            return {}
+        try:
+            steps = np.diff(table.column(names[0], "record.time", 0, table.rows({"": names[0]})))
+        except InputError:
+            return {}
+        step = float(np.median(steps)) if len(steps) else 0.0
+        agree = [1 / self.rate, 1e3 / self.rate, 1e6 / self.rate, 1.0]  # s, ms, us, a count of rows
+        if step <= 0 or np.ptp(steps) > 0.1 * step or np.isclose(step, agree, rtol=0.01).any():
+            return {}
+        doubt = (
+            f"record.rate={self.rate:g} was taken, but column {names[0]!r} goes on by {step:.4g} a "
+            f"row, {1 / step:.4g} samples per s: without record.rate that column is the time"
+        )
+        return {"time": doubt}
 
     def _resolve_layout(self, system: System, table: Table) -> ColumnLayout:
         channels = self._resolve_columns(

@@ -1,6 +1,7 @@
 """Files of numbers read into tables of named columns; which reader is told by the content.
 
-Arrays inside containers are addressed as in the file's own language: ``group/name`` (HDF5, TDMS),
+Arrays inside containers are addressed as in the file's own language: ``group/name`` (HDF5, TDMS;
+``sheet/column`` of a workbook where several sheets hold tables),
 ``struct.field`` and ``cell[0]`` (MATLAB). A matrix is a set of series along its longer side:
 ``name[1]`` is the second one, counted from zero.
 """
@@ -11,6 +12,7 @@ import codecs
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +25,11 @@ from spiral.io.readers.containers import (
     parquet_columns,
     series_in_array,
 )
-from spiral.io.readers.dialect import find_dialect, units_in_names
+from spiral.io.readers.dialect import Dialect, find_dialect, units_in_names
 from spiral.io.readers.limits import time_limit, within_seconds
 from spiral.io.readers.matlab import read_mat
 from spiral.io.readers.table import Table, error_first_line, find_file
+from spiral.io.readers.workbook import SEPARATOR, is_workbook, sheet_texts
 from spiral.types.errors import ConfigError, InputError
 
 EXTRA = "formats"
@@ -34,11 +37,12 @@ _HEAD = 65536
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _EXTENSIONS = {
     ".mat": "mat", ".npz": "npz", ".parquet": "parquet", ".h5": "hdf5", ".hdf5": "hdf5",
-    ".hdf": "hdf5", ".uff": "uff", ".unv": "uff", ".tdms": "tdms",
+    ".hdf": "hdf5", ".uff": "uff", ".unv": "uff", ".tdms": "tdms", ".xlsx": "xlsx",
 }  # fmt: skip
 _WORDS = {
     "mat": "a MATLAB file (version 5 to 7.3)", "npz": "an NPZ file", "parquet": "a Parquet file",
     "hdf5": "an HDF5 file", "uff": "a UFF file", "tdms": "a TDMS file",
+    "xlsx": "an Excel workbook",
 }  # fmt: skip
 
 
@@ -70,6 +74,8 @@ def _read_by_format(
     """The table of a file by its reader."""
     head = _read_head(given, path)
     kind = detect_format(head, path.suffix)
+    if kind == "npz" and is_workbook(path):
+        kind = "xlsx"
     if kind == "text" or (only_text and kind != "parquet"):
         return read_text(given, path, head, separator, decimal)
     try:
@@ -119,21 +125,36 @@ def is_text(path: Path) -> bool:
 
 
 def read_text(
-    given: str, path: Path, head: bytes, separator: str | None = None, decimal: str | None = None
-) -> Table:
+    given: str, path: Path | BytesIO, head: bytes, separator: str | None = None,
+    decimal: str | None = None,
+) -> Table:  # fmt: skip
     """A table from a text file: a line of names, perhaps a row of units, rows of numbers."""
-    import pandas as pd
-
     encoding = _detect_encoding(given, head)
     text = codecs.getincrementaldecoder(encoding)("replace").decode(head)
     if len(head) == _HEAD and "\n" in text:
         text = text[: text.rindex("\n") + 1]
     dialect = find_dialect(given, text, separator, decimal)
+    frame = _parse_rows(given, path, dialect, encoding)
+    filled = frame.notna().any(axis=1).to_numpy()
+    if filled.any():  # blank lines at the end are no rows
+        frame = frame.iloc[: len(filled) - int(filled[::-1].argmax())]
+    words = dialect.in_words() + {"utf-16": ", UTF-16", "cp1252": ", Latin-1"}.get(encoding, "")
+    if head.startswith(codecs.BOM_UTF8):
+        words += ", byte order mark left out"
+    values = {str(name): frame[name] for name in dialect.names}
+    notes = (f"{Path(given).name}: {words}",)
+    return Table(given, values, dialect.units, notes, dialect.first + 1, dialect.decimal)
+
+
+def _parse_rows(given: str, path: Path | BytesIO, dialect: Dialect, encoding: str) -> Any:
+    """The rows of a text file under its names, as a DataFrame."""
+    import pandas as pd
+
     padding = [f"\0{i}" for i in range(len(dialect.names), dialect.width)]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # cells without a name
-            frame = pd.read_csv(
+            return pd.read_csv(
                 path, sep=dialect.separator, decimal=dialect.decimal, skipinitialspace=True,
                 low_memory=False, skip_blank_lines=False, encoding=encoding, index_col=False,
                 encoding_errors="replace", header=None, names=[*dialect.names, *padding],
@@ -149,15 +170,6 @@ def read_text(
             "as many cells in every row",
             f"read as: {dialect.in_words()}; correct with record.separator and record.decimal",
         ) from error
-    filled = frame.notna().any(axis=1).to_numpy()
-    if filled.any():  # blank lines at the end are no rows
-        frame = frame.iloc[: len(filled) - int(filled[::-1].argmax())]
-    words = dialect.in_words() + {"utf-16": ", UTF-16", "cp1252": ", Latin-1"}.get(encoding, "")
-    if head.startswith(codecs.BOM_UTF8):
-        words += ", byte order mark left out"
-    values = {str(name): frame[name] for name in dialect.names}
-    notes = (f"{Path(given).name}: {words}",)
-    return Table(given, values, dialect.units, notes, dialect.first + 1, dialect.decimal)
 
 
 def _read_head(given: str, path: Path) -> bytes:
@@ -181,7 +193,7 @@ def _detect_encoding(given: str, head: bytes) -> str:
         raise InputError(
             f"{given}: a binary file",
             "a text file with separated columns",
-            "record=file reads MAT, NPZ, HDF5, Parquet, UFF and TDMS; else export it as CSV",
+            "record=file reads MAT, NPZ, HDF5, Parquet, UFF, TDMS and xlsx; else export it as CSV",
         )
     try:
         codecs.getincrementaldecoder("utf-8-sig")().decode(head)
@@ -277,6 +289,28 @@ def _read_tdms(given: str, path: Path) -> Table:
     return _make_table(given, "tdms", iter(series), units=units)
 
 
+def _read_workbook(given: str, path: Path) -> Table:
+    """The columns of the only sheet with numbers by their names, of several as ``sheet/column``."""
+    tables: dict[str, Table] = {}
+    refused: dict[str, InputError] = {}
+    for sheet, text in sheet_texts(given, path, _import_library("openpyxl", given)):
+        rows = text.encode()
+        try:
+            named = f"{given}, sheet {sheet!r}"
+            tables[sheet] = read_text(named, BytesIO(rows), rows[:_HEAD], SEPARATOR, ".")
+        except InputError as error:
+            refused[sheet] = error
+    if refused and not tables:
+        raise next(iter(refused.values()))
+    one = len(tables) == 1
+    series = {c if one else f"{n}/{c}": v for n, t in tables.items() for c, v in t.values.items()}
+    units = {c if one else f"{n}/{c}": u for n, t in tables.items() for c, u in t.units.items()}
+    left = f"; left out {', '.join(map(repr, refused))}" if refused else ""
+    words = f"{Path(given).name}: {_WORDS['xlsx']}, sheet {', '.join(map(repr, tables))}{left}"
+    lines = {t.first_line for t in tables.values()}
+    return Table(given, series, units, (words,), lines.pop() if one else None)
+
+
 def _import_library(name: str, given: str) -> Any:
     import importlib
 
@@ -292,5 +326,5 @@ def _import_library(name: str, given: str) -> Any:
 
 _READERS: dict[str, Callable[[str, Path], Table]] = {
     "parquet": _read_parquet, "mat": _read_mat, "npz": _read_npz, "hdf5": _read_hdf5,
-    "uff": _read_uff, "tdms": _read_tdms,
+    "uff": _read_uff, "tdms": _read_tdms, "xlsx": _read_workbook,
 }  # fmt: skip

@@ -16,14 +16,16 @@ NAME = "data"
 
 
 def is_frame(given: Any) -> bool:
-    """Whether this is a DataFrame, or series by name; a mapping with a ``name`` is a source."""
+    """Whether this is a table, or series by name; a mapping with a ``name`` is a source."""
     if isinstance(given, Mapping):
         return not isinstance(given.get("name"), str)
     return hasattr(given, "columns") and hasattr(given, "__getitem__")
 
 
-def table_of(given: Any) -> Table:
+def table_of(given: Any, decimal: str = ".") -> Table:
     """The columns of a DataFrame, its index too where it is no count of rows; or of a mapping.
+
+    ``decimal`` : the decimal mark of columns of text. Tables of other libraries become a DataFrame.
 
     Raises
     ------
@@ -32,6 +34,7 @@ def table_of(given: Any) -> Table:
     if isinstance(given, Mapping):
         columns = dict(given)
     else:
+        given = given.to_pandas() if hasattr(given, "to_pandas") else given
         columns = {str(name): given[name] for name in given.columns}
         index = getattr(given, "index", None)
         if index is not None and not _counts_rows(index):
@@ -40,10 +43,10 @@ def table_of(given: Any) -> Table:
         if np.ndim(values) != 1:
             raise InputError(
                 f"column {name!r} of shape {np.shape(values)}", "a series of numbers, (samples,)",
-                "one name for each series",
+                "one name for each series; rows become a table by pandas.DataFrame(rows)",
             )  # fmt: skip
     series = {str(k): _plain_series(v) for k, v in columns.items()}
-    return Table(NAME, series, units_in_names(series))
+    return Table(NAME, series, units_in_names(series), decimal=decimal)
 
 
 def refuse_array(given: Any) -> None:
@@ -64,6 +67,8 @@ def _plain_series(values: Any) -> Any:
     """As the reader of tables takes it: numbers, seconds, moments or text, rows from zero."""
     import pandas as pd
 
+    if isinstance(values, np.ma.MaskedArray):
+        return np.ma.filled(values.astype(float), np.nan)
     series = pd.Series(np.asarray(values) if isinstance(values, np.ndarray) else list(values))
     if isinstance(series.dtype, pd.DatetimeTZDtype):
         return series.dt.tz_convert(None).to_numpy()

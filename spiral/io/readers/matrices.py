@@ -25,9 +25,13 @@ _ROWS = 10**7  # of a matrix; a sparse one may declare any number
 _ENTRY, _FLOAT = 16, 8  # bytes of an entry of a sparse matrix, and of a full one
 
 
+Nodes = str | Path | Mapping[str, Any] | Sequence[Mapping[str, Any]]
+"""Nodes that are kept: a CSV file, its rows, or name -> fields."""
+
+
 def read_structure(
     source: str | Path | Mapping[str, Any],
-    nodes: str | Path | Mapping[str, Any],
+    nodes: Nodes,
     size: int,
     band: Sequence[float],
     pairs: Mapping[str, Any] | None,
@@ -144,24 +148,26 @@ def _check_matrices(matrices: Mapping[str, Any]) -> None:
             )
 
 
-def read_nodes(source: str | Path | Mapping[str, Any], size: int) -> tuple[KeptNode, ...]:
+def read_nodes(source: Nodes, size: int) -> tuple[KeptNode, ...]:
     """The nodes that are kept.
 
     Parameters
     ----------
     source : a CSV file with the columns ``name, dof, use`` and, where not all are in m, ``unit``;
-        or name -> ``{"dof": 12, "use": "sensor port"}``. ``dof`` counts from zero.
+        such rows, each a mapping; or name -> ``{"dof": 12, "use": "sensor port"}``. ``dof`` counts
+        from zero.
     size : how many degrees of freedom there are.
 
     Raises
     ------
     InputError, ConfigError : a table that cannot be used.
     """
-    rows = (
-        _rows_of_mapping(source)
-        if isinstance(source, Mapping)
-        else _read_node_table(Path(source).expanduser())
-    )
+    if isinstance(source, Mapping):
+        rows = _rows_of_mapping(source)
+    elif isinstance(source, str | Path):
+        rows = _read_node_table(Path(source).expanduser())
+    else:
+        rows = [dict(row) for row in source]
     nodes = tuple(_parse_node(row, size) for row in rows)
     for what in ("name", "dof"):
         values = [getattr(n, what) for n in nodes]

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 
+import numpy as np
+
 from spiral.types.errors import InputError
+from spiral.types.record import Array
 from spiral.types.system import System
 from spiral.types.units import base_form, conversion
 
+_TURN = 2 * np.pi
+_COLD, _COLDEST = -90.0, 150.0  # of numbers that are degrees Celsius, sooner than kelvins
+_NEAR_ZERO = 0.05  # of what a series covers
 _ANY = "cd"  # candela, which no system uses: a series that takes it has its unit set by the field
 
 
@@ -31,6 +38,34 @@ def conversion_to_system(given: str, system: System, name: str) -> tuple[float, 
             raise
         own = f"; where {given!r} is what the machine works in, system.{field}='{given}'"
         raise InputError(error.given, error.expected, f"{error.try_}{own}") from error
+
+
+def unit_doubts(
+    system: System, series: Mapping[str, Array], said: Collection[str]
+) -> dict[str, str]:
+    """A question for each series whose numbers are unusual in the system's unit, which no one said.
+
+    An angle that swings by more than a turn to and fro, a temperature (one that is never zero, as a
+    rise of it is) below the coldest places on earth: these are more often in degrees.
+    """
+    doubts = {}
+    for name, values in series.items():
+        seen = values[np.isfinite(values)]
+        if name in said or len(seen) < 2:
+            continue
+        unit, low, high = system.unit_of(name), float(seen.min()), float(seen.max())
+        is_rise = np.abs(seen).min() <= _NEAR_ZERO * (high - low)
+        swings = high - low > _TURN and abs(seen[-1] - seen[0]) < (high - low) / 2
+        likely = {
+            "deg": unit == "rad" and swings,
+            "degC": unit == "K" and low > _COLD and high < _COLDEST and not is_rise,
+        }
+        for other in (u for u, is_likely in likely.items() if is_likely):
+            doubts[name] = (
+                f"{name} runs from {low:.3g} to {high:.3g} {unit}, and nobody said that it is in "
+                f"{unit}: if it is in {other}, record.units='{{{name}: {other}}}'"
+            )
+    return doubts
 
 
 def unit_field(system: System, name: str) -> str:

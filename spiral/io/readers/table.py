@@ -20,6 +20,7 @@ Array = np.ndarray
 DATA_VARIABLE = "SPIRAL_DATA"
 MISSING = frozenset(("", "nan", "na", "nat", "none", "null", "<na>", "inf", "-inf", "+inf"))
 """Cells that stand for a number that is not there, in lower case."""
+_MOMENTS = "seconds, or moments: 2026-11-30T04:13:40.25, 30.11.2026 04:13:40,25 or 04:13:40.25"
 _LISTED = 12
 _NAME = 256  # letters that a file's name may have
 _UNIT_BEHIND = re.compile(r"\s*(\[(?!\d+\]|\*)[^][]+\]|\((?!\d+\)|\*)[^()]+\))\s*$")  # no index
@@ -152,7 +153,7 @@ class Table:
         """
         values = self._column_values(name, option)[start:stop]
         try:
-            numbers, bad = _parse_numbers(values, self.decimal)
+            numbers, bad = _parse_numbers(values, self.decimal, option == "record.time")
         except OverflowError as error:
             raise InputError(
                 f"column {name!r} of {self.name}: dates more than 292 years apart",
@@ -171,17 +172,10 @@ class Table:
         line = f" (line {row + self.first_line})" if self.first_line is not None else ""
         place = f"column {name!r} of {self.name}, row {row}{line}"
         if texts:
-            raise InputError(f"{place}: text {cell!r}", "a number", _text_hint(cell))
-        cut = f"cut the gap out with record.rows, for instance rows [{start}, {row}]"
-        if option != "record.time":
-            cut = f"record.fill_gaps={_longest_run(bad)} interpolates so many in a row; or {cut}"
-        if option.startswith("record.channels"):
-            cut = f"record.missing=leave_out does without them; {cut}"
-        raise InputError(
-            f"{place}: {cell or 'an empty cell'}, one of {len(bad)} missing values",
-            "a number in every row",
-            cut,
-        )
+            hint = _MOMENTS if option == "record.time" else _text_hint(cell)
+            raise InputError(f"{place}: text {cell!r}", "a number", hint)
+        where = f"{place}: {cell or 'an empty cell'}"
+        raise _missing_values_error(where, option, bad, len(values), (start, row))
 
     def _column_values(self, name: str, option: str) -> Any:
         if name in self.values:
@@ -199,9 +193,14 @@ class Table:
         )
 
 
-def _parse_numbers(values: Any, decimal: str) -> tuple[Array, Array]:
-    """Numbers, NaN where there is none, and the positions of what is not finite."""
+def _parse_numbers(values: Any, decimal: str, timed: bool = False) -> tuple[Array, Array]:
+    """Numbers, NaN where there is none, and the positions of what is not finite.
+
+    ``timed`` : text may also say moments, which become seconds from the first row.
+    """
     import pandas as pd
+
+    from spiral.io.readers.moments import seconds_of
 
     series = pd.Series(values)
     if pd.api.types.is_datetime64_any_dtype(series):
@@ -213,6 +212,8 @@ def _parse_numbers(values: Any, decimal: str) -> tuple[Array, Array]:
         if decimal != ".":
             text = text.str.replace(decimal, ".", regex=False)
         parsed = pd.to_numeric(text, errors="coerce")
+        if timed and parsed.isna().all() and (seconds := seconds_of(text)) is not None:
+            parsed = seconds
     numbers = np.array(parsed, dtype=float)
     return numbers, np.flatnonzero(~np.isfinite(numbers))
 
@@ -221,6 +222,22 @@ def _cells_at(values: Any, rows: Array) -> list[Any]:
     import pandas as pd
 
     return list(pd.Series(values).iloc[rows])
+
+
+def _missing_values_error(
+    where: str, option: str, bad: Array, count: int, before: tuple[int, int]
+) -> InputError:
+    """The error for empty cells at these rows; ``before``: rows in front of the first of them."""
+    if len(bad) == count:
+        return InputError(
+            f"{where}, as in all {count} rows", "a column of numbers", f"{option}=ANOTHER COLUMN"
+        )
+    cut = f"cut the gap out with record.rows, for instance rows {list(before)}"
+    if option != "record.time":
+        cut = f"record.fill_gaps={_longest_run(bad)} interpolates so many in a row; or {cut}"
+    if option.startswith("record.channels"):
+        cut = f"record.missing=leave_out does without them; {cut}"
+    return InputError(f"{where}, one of {len(bad)} missing values", "a number in every row", cut)
 
 
 def _longest_run(rows: Array) -> int:

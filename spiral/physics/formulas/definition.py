@@ -248,9 +248,11 @@ def value_and_unit(name: str, given: Any) -> tuple[float | None, str]:
     if isinstance(given, str):
         first, _, rest = given.strip().partition(" ")
         value = _float_or_none(first)
-        return (None, given.strip()) if value is None else (value, rest.strip())
+        if value is None:
+            return None, given.strip()
+        return _require_number(name, value), rest.strip()
     if isinstance(given, int | float) and not isinstance(given, bool):
-        return float(given), ""
+        return _require_number(name, given), ""
     if isinstance(given, list | tuple) and len(given) == 2:
         return _require_number(name, given[0]), str(given[1] or "")
     expected = "a value and a unit; uncertainties of known parameters are not used"
@@ -266,8 +268,8 @@ def _float_or_none(text: Any) -> float | None:
 
 def _require_number(name: str, given: Any) -> float:
     value = _float_or_none(given)
-    if value is None:
-        raise ConfigError(f"{name}: {given!r}", "a number", f"{name}: 2.0 kg")
+    if value is None or not isfinite(value):
+        raise ConfigError(f"{name}: {given!r}", "a finite number", f"{name}: 2.0 kg")
     return value
 
 
@@ -372,6 +374,12 @@ def _parameter(name: str, given: Any, free: bool) -> Parameter:
         None if bounds.get(k) is None else _require_number(name, bounds[k])
         for k in ("lower", "upper")
     )
+    if value is not None and not (low is None or low <= value) & (high is None or value <= high):
+        raise ConfigError(
+            f"parameter {name!r} of {value:g} {unit}".rstrip(),
+            f"a value within its bounds, lower {low} and upper {high}",
+            "correct the value or the bound",
+        )
     unbounded = not {"lower", "upper"} & set(bounds)
     if free and value and unbounded:  # it keeps the sign that it was given
         low, high = (0.0, None) if value > 0 else (None, 0.0)

@@ -157,7 +157,11 @@ def _rates_by_name(result: Any, names: list[str]) -> Mapping[str, Any]:
     wanted = set(given) == set(names) if isinstance(given, dict) else len(given) == len(names)
     if not wanted:
         told = ", ".join(map(str, given)) if isinstance(given, dict) else f"{len(given)} values"
-        raise CannotFollowError(f"rates: {told}", f"one for each of {', '.join(names)}")
+        raise ConfigError(
+            f"rates of the function: {told}",
+            f"{len(names)}, one for each of {', '.join(names)}",
+            "a list in the order of states, or a mapping by name",
+        )
     return given if isinstance(given, dict) else dict(zip(names, given, strict=True))
 
 

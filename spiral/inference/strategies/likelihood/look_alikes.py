@@ -274,9 +274,17 @@ def _contest_effects(
 
 
 def _likeliest_of_each_effect(model: LikelihoodFit, rivals: Sequence[Rival]) -> list[Rival]:
-    """The likeliest rival of each effect, with the model's noise where it prefers that."""
-    tuned = run_in_threads(
-        lambda r: _with_model_noise(model, r), rivals, longest(model.estimate.prepared)
+    """The likeliest rival of each effect, with the model's noise where it prefers that.
+
+    Where an input was found to run another way beside the effect, the system's own way is tried as
+    well: a lag of one input and a late second one do together what a slow sensor does alone.
+    """
+    samples = longest(model.estimate.prepared)
+    tuned = run_in_threads(lambda r: _with_model_noise(model, r), rivals, samples)
+    tuned += run_in_threads(
+        lambda r: _with_model_noise(model, r, replace(r.fit.state, between={})),
+        [r for r in tuned if r.fit.state.between],
+        samples,
     )
     of_effect: dict[str, Rival] = {}
     for rival in sorted(tuned, key=lambda r: -r.worth):
@@ -301,15 +309,15 @@ def _model_as_rival(
     return Rival(assembly, unscored_candidate(admitted[0]), model, gain, worth)
 
 
-def _with_model_noise(model: LikelihoodFit, rival: Rival) -> Rival:
-    """A rival with the model's noise, where that is likelier.
+def _with_model_noise(model: LikelihoodFit, rival: Rival, state: FitState | None = None) -> Rival:
+    """A rival with the model's noise, and in another ``state``, where that is likelier.
 
     A few steps tell: where the two are alike, the rival is near its maximum from the start; where
     they are not, its misses are many times that noise, and no step would lead there.
     """
     noise, own = model.estimate.noise, rival.assembly
     look = fit_by_likelihood(
-        own, rival.fit.state, noise, steps=_LOOK, rough=True, differences=False
+        own, state or rival.fit.state, noise, steps=_LOOK, rough=True, differences=False
     )
     if not (look.estimate.finite and look.log_likelihood > rival.fit.log_likelihood):
         return rival

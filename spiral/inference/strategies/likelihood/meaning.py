@@ -45,6 +45,8 @@ def refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
     near = is_near_noise(whole.refitted.comparison, whole.assembly.problem.settings)
     if (refusal := refuse_shapes(model, variant, near)) is not None:
         return refusal
+    if (late := _late_beyond_record(whole, rival.label)) is not None:
+        return Refusal(f"its time goes to {number(late)} s, longer than the record")
     if has_still_state(whole.fit, variant.label):
         return Refusal(STILL_STATE)
     known = model.estimates().get(rival.label, {}).items()
@@ -75,6 +77,15 @@ def refuse_shapes(model: Model, variant: Variant, near: bool) -> Refusal | None:
         if abs(value) > limits.get(name, np.inf) and not near:
             return Refusal(f"its {name} goes to {number(value)}, over too much of the motion")
     return None
+
+
+def _late_beyond_record(whole: WholeRecordFit, label: str) -> float | None:
+    """By how long an effect is late, in s, where that is longer than every record."""
+    model = whole.refitted.comparison.model
+    longest = max(r.dt * r.samples for r in whole.assembly.problem.records)
+    of_own = ((k, p) for k, p in model.pairs if split_key(k)[0] == label)
+    times = [k for k, p in of_own if p.role == "amplitude" and p.unit == "s"]
+    return next((model.values[k] for k in times if abs(model.values.get(k, 0)) > longest), None)
 
 
 def _has_vanished(whole: WholeRecordFit, label: str) -> bool:

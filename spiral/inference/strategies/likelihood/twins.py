@@ -32,6 +32,7 @@ from spiral.inference.likelihood.fitting import (
     prepare_filter_tasks,
     with_estimate,
 )
+from spiral.inference.likelihood.initial_states import refit_initial_states
 from spiral.inference.strategies.likelihood.superfluous import admitted_variants
 from spiral.types.label import owner_of
 
@@ -49,6 +50,7 @@ def twins_at_its_values(
 ) -> list[Rival]:  # fmt: skip
     """The offered twins and special cases of an effect, each in its place and from its values.
 
+    Where each record begins is looked for anew: a late sensor has another beginning of the machine.
     ``base`` is the model without the effect, ``ranked`` the candidates that have a score there.
     """
     given, scored = _values_by_name(model, admitted), {r.variant.label: r for r in ranked}
@@ -65,7 +67,7 @@ def twins_at_its_values(
         noise, like = model.estimate.noise, base.estimate.prepared
         fit = fit_by_likelihood(own, state, noise, rough=True, like=like)
         if fit.estimate.finite:
-            rivals[label] = make_rival(own, base, one, fit)
+            rivals[label] = make_rival(own, base, one, refit_initial_states(own, fit))
     return list(rivals.values())
 
 
