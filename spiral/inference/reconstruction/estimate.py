@@ -26,6 +26,7 @@ from spiral.inference.reconstruction.consistency import (
     normalised_squares,
 )
 from spiral.inference.reconstruction.consistency import stable_samples as stable
+from spiral.inference.reconstruction.inputs import widen_by_undecided_inputs
 from spiral.inference.reconstruction.observability import Observability, observability
 from spiral.inference.reconstruction.uncertain import declared_prior, model_prior
 from spiral.physics.effect_states import own_states
@@ -77,7 +78,11 @@ class StateScore:
 
 @dataclass(frozen=True)
 class RecordReconstruction:
-    """One record with what the observer made of it."""
+    """One record with what the observer made of it.
+
+    ``undecided`` are inputs of which the record does not tell how they run between their samples,
+    and nobody said it: the bands hold each way that may be.
+    """
 
     record: Record
     task: FilterInput
@@ -85,6 +90,7 @@ class RecordReconstruction:
     consistency: Consistency | None
     nees: BoundedMean | None
     stable: int
+    undecided: tuple[str, ...] = ()
 
     @property
     def diverged(self) -> bool:
@@ -157,16 +163,25 @@ class Estimation(Readable):
 
     @property
     def band_sentence(self) -> str:
-        """Which parameters' uncertainty the bands hold."""
+        """What beside the noise is uncertain in the bands: parameters, inputs between samples."""
         prior = self.parts[0].task.prior
+        undecided = dict.fromkeys(n for p in self.parts for n in p.undecided)
         if prior is None:
-            return (
+            said = (
                 "The bands hold for a model whose parameters are exact (uncertain= with ekf, "
                 "ukf or rts widens them)."
             )
-        count = len(prior.keys)
-        noun = "parameter" if count == 1 else "parameters"
-        return f"The bands hold the uncertainty of {count} {noun} as well."
+        else:
+            count = len(prior.keys)
+            noun = "parameter" if count == 1 else "parameters"
+            said = f"The bands hold the uncertainty of {count} {noun} as well."
+        if not undecided:
+            return said
+        words = " and ".join(undecided)
+        return (
+            f"{said} They hold every way in which {words} may run between samples, which the "
+            f"record does not tell; record.hold declares it."
+        )
 
     def series(self, record: int = 0) -> pd.DataFrame:
         """Every state of a record over time with its band (``RecordReconstruction.series``)."""
@@ -259,7 +274,12 @@ def estimate(
             fitted = known[index] if known else None
             task = replace(task, prior=_prior_of(model, task, uncertain, fitted))
         progress(f"{observer.plugin_name()} over {record.name}: {record.samples} samples")
-        parts.append(reconstruct_record(task, observer))
+        part = reconstruct_record(task, observer)
+        if observer.doubts and inputs is None and not part.diverged:
+            progress(f"inputs of {record.name} between their samples")
+            wider = widen_by_undecided_inputs(task, observer, part.reconstruction)
+            part = _described_part(task, wider.reconstruction, wider.names)
+        parts.append(part)
     return combine_reconstructions(observer.plugin_name(), parts)
 
 
@@ -274,8 +294,13 @@ def _prior_of(
 
 def reconstruct_record(task: FilterInput, observer: Observer) -> RecordReconstruction:
     """One record through an observer, with its statistics."""
+    return _described_part(task, observer.reconstruct(task))
+
+
+def _described_part(
+    task: FilterInput, reconstruction: Reconstruction, undecided: tuple[str, ...] = ()
+) -> RecordReconstruction:
     record = task.series.record
-    reconstruction = observer.reconstruct(task)
     first = skipped_samples(record)
     return RecordReconstruction(
         record,
@@ -284,6 +309,7 @@ def reconstruct_record(task: FilterInput, observer: Observer) -> RecordReconstru
         consistency(reconstruction, record, first),
         _nees(task, reconstruction, first),
         stable(reconstruction, record),
+        undecided,
     )
 
 
