@@ -174,3 +174,109 @@ def test_bands_hold_each_way_in_which_an_input_may_run_between_its_samples():
         plain.append(wrong.states["x_rate"].coverage_95)
     assert np.mean(held) > 0.9
     assert np.mean(plain) < 0.6
+
+
+def test_a_model_keeps_the_covariance_of_its_fit():
+    root = np.random.default_rng(0).normal(size=(3, 3)) * [[1.0], [10.0], [0.1]]
+    keys, whole = ("a.x", "b.y", "c.z"), root @ root.T
+    known = replace(model(), errors=dict(zip(keys, np.sqrt(np.diag(whole)), strict=True)),
+                    correlations=correlations_by_name(keys, whole))  # fmt: skip
+    np.testing.assert_allclose(known.covariance(keys), whole)
+    np.testing.assert_allclose(known.covariance(keys[::-1]), whole[::-1, ::-1])
+    whole[1] = whole[:, 1] = np.inf  # a value that the fit did not determine
+    assert set(correlations_by_name(keys, whole)) == {"c.z"}
+
+
+def test_a_value_that_the_data_did_not_tell_is_no_doubt():
+    level, width = "coulomb_friction.level", "coulomb_friction.width"  # neither below zero
+    values = {**VALUES, level: 0.5, width: 0.02}
+    told = seed_model(Oscillator(), (CoulombFriction(),), values=values, errors={level: 0.1})
+    task = prepare_task(told, record(np.random.default_rng(0), model()))
+    assert model_prior(replace(told, errors={level: 0.1, width: 0.3}), task).keys == (level,)
+    assert model_prior(replace(told, errors={level: np.nan, width: 0.0}), task) is None
+
+
+def test_draws_follow_a_bent_ridge():
+    """log p(a, b) = -(a^2 + s^2 (b - c a^2)^2) / 2: a has variance 1, b mean c, across it 1 / s."""
+    c, s = 3.0, 10.0
+    second = np.zeros((2, 2, 2))
+    second[0, 0] = [0.0, -2 * c * s]
+    slopes = np.array([[0.0, 0.0], [0.0, s]])
+    found = build_expansion(np.zeros(2), slopes, second, np.zeros(1), np.array([[1.0, 0.0]]))
+    # in steps of one standard deviation of the Gaussian at the top, b / s
+    w = np.diag([1.0, 1.0 / s])
+    bend = np.einsum("ijd,ia,jb->abd", found.second, w, w)
+    scaled = replace(found, slopes=found.slopes @ w, second=bend)
+    draws = draw_samples(scaled, 2000, np.random.default_rng(0)) @ w
+    assert np.mean(draws[:, 0] ** 2) == pytest.approx(1.0, rel=0.15)
+    assert np.mean(draws[:, 1]) == pytest.approx(c, rel=0.15)
+    assert np.std(draws[:, 1] - c * draws[:, 0] ** 2) == pytest.approx(1 / s, rel=0.15)
+    assert not scaled.straight
+
+
+def test_a_prior_may_know_a_combination_exactly():
+    """V of rank one: the values move along it alone."""
+    covariance = np.array([[1.0, 2.0], [2.0, 4.0]])
+    np.testing.assert_allclose(
+        covariance_root(covariance) @ covariance_root(covariance).T, covariance
+    )
+    prior = Prior(("a", "b"), np.array([1.0, 1.0]), covariance)
+    x = np.array([[1.0, 0.0], [0.0, 1.0]])
+    step = prior.step(x, np.array([1.0, 2.0]), np.array([1.0, 1.0]))
+    np.testing.assert_allclose(step, 5 / 6 * np.array([1.0, 2.0]))  # z = 5 / (1 + 5)
+    np.testing.assert_allclose(prior.posterior_covariance(x), covariance / 6)
+
+
+@pytest.mark.parametrize(
+    ("uncertain", "said"),
+    [
+        ({"bearing.*": 0.2}, "names no parameter"),
+        ({"linear_stifness.stiffness": 0.2}, "linear_stiffness.stiffness"),
+        ({"system.mass": -0.1}, "system.mass"),
+        ({"system.mass": "wide"}, "a share of the value"),
+        ({"system.mass": {"absolut": 1}}, "a share of the value"),
+        ({LOAD: 0.1}, "zero"),
+    ],
+)
+def test_doubt_that_cannot_be(uncertain, said):
+    made = record(np.random.default_rng(0), model())
+    with pytest.raises(ConfigError, match=said):
+        estimate([model(**{LOAD: 0.0})], [made], Rts(), uncertain=uncertain)
+
+
+def test_an_observer_without_bands_refuses_doubt():
+    made = record(np.random.default_rng(0), model())
+    with pytest.raises(ConfigError, match="observer=static"):
+        estimate([model()], [made], Static(), uncertain={"system.mass": 0.1})
+
+
+def test_patterns_name_places():
+    keys = [k for k, _ in seed_model(TiltingRotor()).pairs]
+
+    def named(pattern):
+        return [k for k in keys if any(fnmatchcase(n, pattern) for n in pattern_names(k))]
+
+    assert len(named("bearing.*")) == 14
+    assert len(named("bearing_1.*")) == 7
+    assert named("bearing.stiffness_x") == [
+        "linear_stiffness@bearing_1.stiffness_x", "linear_stiffness@bearing_2.stiffness_x"
+    ]  # fmt: skip
+    assert named("system.mass") == ["system.mass"]
+
+
+def test_a_value_of_which_nothing_is_known_has_a_finite_root():
+    """A variance that overflows: of a value that no reading tells."""
+    covariance = np.diag([4.0, np.inf, 9.0])
+    covariance[0, 2] = covariance[2, 0] = 1.0
+    root = _bounded_root(covariance)
+    assert np.all(np.isfinite(root))
+    np.testing.assert_allclose((root @ root.T)[::2, ::2], covariance[::2, ::2], rtol=1e-12)
+    assert (root @ root.T)[1, 1] > 1e90
+
+
+@pytest.mark.parametrize(("error", "far"), [(0.01, True), (26.0, False)])
+def test_an_effect_is_far_from_zero_by_the_errors_that_are_shown(error, far):
+    label = "coulomb_friction"
+    found = seed_model(Oscillator()).add(CoulombFriction(), {f"{label}.level": 1.0})
+    shown = replace(found, errors={f"{label}.level": error})
+    assert _is_shown_far_from_zero(shown, label, 3.0) is far

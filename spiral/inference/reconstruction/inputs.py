@@ -13,7 +13,7 @@ A rate that no sensor sees follows the force between two samples; its readings h
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -38,6 +38,8 @@ def widen_by_undecided_inputs(
     task: FilterInput, observer: Observer, own: Reconstruction
 ) -> UndecidedInputs:
     """The reconstruction with the doubt of inputs that no record declares (``Record.hold``)."""
+    if own.levels and any(f.name == "process_noise" for f in fields(observer)):
+        observer = replace(observer, process_noise=dict(own.levels))  # not tuned for each way
     others = [
         (names, again)
         for names, other in _other_ways(task)
