@@ -41,8 +41,8 @@ class Equations(MechanicalSystem):
         from spiral.physics.formulas.definition import check_free_parameters, text_of_file
 
         text = self.text or (text_of_file(self.path) if self.path else EXAMPLE)
-        object.__setattr__(self, "text", text)
         try:
+            object.__setattr__(self, "text", _in_units_that_fit(text))
             _ = self.ports
             if self.path:
                 check_free_parameters(self.form.definition)
@@ -208,6 +208,29 @@ def _compute_formulas(texts, values):
     from spiral.physics.formulas import syntax
 
     return [syntax.compute(text, values) for text in texts]
+
+
+def _in_units_that_fit(text):
+    """The text, or the same in SI units where those that it has do not go together."""
+    from spiral.physics.formulas.coherent import coherent_sections
+    from spiral.physics.formulas.equations import equations_of
+    from spiral.physics.formulas.function import dump_sections
+    from spiral.physics.formulas.rows import UnitSizeError
+
+    try:
+        equations_of(text)
+        return text
+    except UnitSizeError as error:
+        reason = error
+    for time_alone in (True, False):
+        if (sections := coherent_sections(text, time_alone)) is None:
+            continue
+        try:
+            equations_of(converted := dump_sections(sections))
+            return converted
+        except UnitSizeError:
+            continue
+    raise reason
 
 
 @kept(32)

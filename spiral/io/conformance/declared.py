@@ -27,6 +27,10 @@ def _declared(system: System) -> Iterator[str]:
     known = [_valued(p.name, p.start) for p in system.parameters if p.start is not None]
     if known:
         yield "known: " + ", ".join(known)
+    if converted := getattr(getattr(system, "form", None), "definition", None):
+        was = [f"{name} from {words}" for name, words in converted.converted]
+        if was:
+            yield "in SI: " + ", ".join(was)
     begun = [_valued(s.name, s.start) for s in system.states if s.start]
     if begun:
         yield "begins near: " + ", ".join(begun)

@@ -312,37 +312,37 @@ def check_finite_values(physics: Physics) -> str:
 def check_linearity(effect: Effect, physics: Physics) -> str:
     """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
 
-    A sensor's reading, and what acts of an input, are asked at small amplitudes: they may have
-    terms beyond the leading order, small against the largest effect on the same value. Shapes are
-    smaller where the drawn motion does not reach them (a limit).
+    A reading, what acts of an input, a parameter's change are asked at small amplitudes: terms
+    beyond leading order are small against the largest effect on a value. Shapes are smaller where
+    the drawn motion does not reach them (a limit).
     """
     own = physics.amplitudes(effect)
     bent = isinstance(effect, SensorEffect | InputEffect | ParameterEffect)
-    size, share = (_SMALL, np.sqrt(_SMALL)) if bent else (1.0, _EXACT)
-    shapes = physics.shapes(effect)
+    sizes, share = ((_SMALL, 0.1 * _SMALL), np.sqrt(_SMALL)) if bent else ((1.0,), _EXACT)
+    for size in sizes:
+        none, one, two = _values_by_amplitude(physics, own, physics.shapes(effect), size)
+        error, acted = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none))
+        acted = acted.max(axis=0) if bent else acted
+        if np.all(error <= _EXACT * (1 + np.abs(none)) + share * acted):
+            return f"{int(own.sum())} amplitudes"
+    raise PluginError(
+        f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
+        "an effect linear in its amplitudes",
+    )
+
+
+def _values_by_amplitude(physics: Physics, own: Array, shapes: Array, size: float) -> Array:
+    """(3, draws, values) without amplitudes, with them and with twice them, where these act."""
     for shrunk in _SIZES:
         rng, drawn = np.random.default_rng(3), []
         for _ in range(_DRAWS):
             x, u, p = physics.draw_point(rng)
             p = np.where(shapes, shrunk * p, p)
-            drawn.append([
-                physics.evaluate(x, u, np.where(own, scale * p, p))[0]
-                for scale in (0.0, size, 2 * size)
-            ])  # fmt: skip
-        none, one, two = np.moveaxis(np.array(drawn), 1, 0)  # each (draws, values)
-        if np.any(one != none):
-            break
-    else:
-        raise PluginError("the amplitudes change nothing", "an effect that acts")
-    error, acted = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none))
-    if bent:
-        acted = acted.max(axis=0)
-    if not np.all(error <= _EXACT * (1 + np.abs(none)) + share * acted):
-        raise PluginError(
-            f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
-            "an effect linear in its amplitudes",
-        )
-    return f"{int(own.sum())} amplitudes"
+            scaled = (np.where(own, scale * p, p) for scale in (0.0, size, 2 * size))
+            drawn.append([physics.evaluate(x, u, each)[0] for each in scaled])
+        if np.any((values := np.moveaxis(np.array(drawn), 1, 0))[0] != values[1]):
+            return values
+    raise PluginError("the amplitudes change nothing", "an effect that acts")
 
 
 def check_absent_at_zero(effect: Effect, physics: Physics, bare: Physics) -> str:

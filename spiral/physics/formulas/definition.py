@@ -61,6 +61,7 @@ class SystemDefinition:
         accelerations and forces on one coordinate move others too.
     title : what the system is, in a few words.
     named : name -> formula of parts of equations, of the section ``let``.
+    converted : name -> what its owner wrote, of what is in SI here (``physics.formulas.coherent``).
     """
 
     equations: tuple[str, ...]
@@ -75,6 +76,7 @@ class SystemDefinition:
     mass: tuple[tuple[str, ...], ...] | tuple[tuple[str, str], ...]
     title: str = ""
     named: tuple[tuple[str, str], ...] = ()
+    converted: tuple[tuple[str, str], ...] = ()
 
     @property
     def units(self) -> dict[str, str]:
@@ -148,6 +150,7 @@ def definition_of(text: str) -> SystemDefinition:
         mass=_mass_entries(given.get("mass")),
         title=str(given.get("title") or ""),
         named=tuple(named.items()),
+        converted=tuple((n, str(v)) for n, v in _section(given, "converted").items()),
     )
     _check_declared_names(definition, free, [f"{name}_rate" for name in twice])
     return _with_input_rates(definition)

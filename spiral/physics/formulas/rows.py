@@ -26,6 +26,10 @@ FIRST, SECOND = "_prime", "_prime_prime"
 _PRIMED = re.compile(r"\b([A-Za-z_]\w*)('{1,2})(?!')")
 
 
+class UnitSizeError(ConfigError):
+    """Units of the right kind whose sizes do not go together."""
+
+
 @dataclass(frozen=True)
 class EquationRow:
     """One equation: its place, its text, left minus right as a formula and as an expression."""
@@ -179,11 +183,11 @@ def _check_unit_sizes(
         uneven = [
             f"{restore_primes(n)} in {short_form(units[n])}" for n in names if sizes[n] != 1.0
         ]
-        raise ConfigError(
+        raise UnitSizeError(
             f"{row.place}, with {', '.join(uneven)}: numbers of terms that cannot be added",
             "units that go together, for instance all SI; time is in s, and x' is per second",
-            "no number of an equation is converted: 1/h is 2.78e-4 1/s. A file in other units is, "
-            "as it is read: record.units='{x: mm, time: h}'",
+            "numbers without a unit that convert (1440, 0.001), and temperatures with a zero of "
+            "their own, keep units from being converted: leave these out, or write SI units",
         )
 
 
