@@ -125,10 +125,11 @@ def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, st
     more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
     kind = "plugin" if entry.file.endswith(".py") else "model"
     passing = f"a {kind} that passes {failures[0].name!r}"
+    given = f"{entry.kind} {failures[0].on}, in {entry.file}: {failures[0].seen}"
     if failures[0].name in ("record", "test"):
-        passing = "records that this model can read"
+        passing, given = "records that this model can read", failures[0].seen
     return {
-        "given": f"{entry.kind} {failures[0].on}, in {entry.file}: {failures[0].seen}",
+        "given": given,
         "expected": f"{passing}{more}",
         "try": failures[0].try_,
     }

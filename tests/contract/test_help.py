@@ -79,6 +79,15 @@ def test_help_of_the_settings(capsys):
     assert "did you mean 'settings'" in capsys.readouterr().err
 
 
+def test_help_of_any_other_key_is_what_the_configuration_says_of_it(capsys):
+    _, out = told(capsys, "discover", "--help")
+    assert "tracking, curves" in out.replace("\n              ", " ")
+    code, out = told(capsys, "discover", "--help", "tracking", "out")
+    assert code == 0
+    assert "log every run to MLflow" in out
+    assert "folder of saved runs" in out
+
+
 def test_help_without_plugins_that_load(capsys):
     code, out = told(capsys, "discover", "--help", "--plugins", "nowhere")
     assert code == 0

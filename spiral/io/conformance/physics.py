@@ -319,6 +319,7 @@ def check_linearity(effect: Effect, physics: Physics) -> str:
     own = physics.amplitudes(effect)
     bent = isinstance(effect, SensorEffect | InputEffect | ParameterEffect)
     sizes, share = ((_SMALL, 0.1 * _SMALL), np.sqrt(_SMALL)) if bent else ((1.0,), _EXACT)
+    error = np.zeros(1)
     for size in sizes:
         none, one, two = _values_by_amplitude(physics, own, physics.shapes(effect), size)
         error, acted = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import textwrap
 from collections.abc import Sequence
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from spiral.types.errors import ConfigError, SpiralError, did_you_mean
@@ -47,8 +48,23 @@ def groups_help(plugins: str | None, words: Sequence[str] = ()) -> str:
         lines += _group_line(f"{group}=", registry.names(kind))
     lines += _group_line("experiment=", experiments())
     lines += _group_line(f"{_SETTINGS}.", list(defaults_of(Settings)))
+    lines += _group_line("others", list(_other_keys()))
     lines += _failure_lines(registry)
     return "\n".join([*lines, "", "--help GROUP or --help NAME tells meanings and fields"])
+
+
+def _other_keys() -> dict[str, list[str]]:
+    """Keys of the configuration that are no group -> their lines in ``conf/config.yaml``."""
+    from spiral.io.config import PACKAGE
+
+    text = files(PACKAGE).joinpath("config.yaml").read_text("utf-8")
+    keys: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        if (key := line.partition(":")[0]) and line[:1] not in ("#", " "):
+            keys[key] = [line]
+        elif keys and line.strip():
+            keys[list(keys)[-1]].append(line)
+    return {k: v for k, v in keys.items() if k not in ("defaults", "effect", "test", _SETTINGS)}
 
 
 def _option_groups(registry: Registry) -> dict[str, str]:
@@ -65,9 +81,11 @@ def _group_or_plugin_help(word: str, registry: Registry) -> str:
         return "\n".join([f"{word}=", *listed, *_failure_lines(registry)])
     if word == _SETTINGS:
         return "\n".join(_settings_help())
+    if lines := _other_keys().get(word):
+        return "\n".join(lines)
     matches = [e for e in registry.entries if e.name == word]
     if not matches:
-        known = [*groups, _SETTINGS, *(e.name for e in registry.entries)]
+        known = [*groups, _SETTINGS, *_other_keys(), *(e.name for e in registry.entries)]
         expected = f"a group ({', '.join(groups)}), {_SETTINGS} or a plugin's name"
         raise ConfigError(f"--help {word}", expected, did_you_mean(word, known))
     by_kind = {kind: group for group, kind in reversed(groups.items())}
