@@ -319,17 +319,16 @@ def check_linearity(effect: Effect, physics: Physics) -> str:
     own = physics.amplitudes(effect)
     bent = isinstance(effect, SensorEffect | InputEffect | ParameterEffect)
     sizes, share = ((_SMALL, 0.1 * _SMALL), np.sqrt(_SMALL)) if bent else ((1.0,), _EXACT)
-    error = np.zeros(1)
+    missed = 0.0
     for size in sizes:
         none, one, two = _values_by_amplitude(physics, own, physics.shapes(effect), size)
         error, acted = np.abs((two - none) - 2 * (one - none)), np.abs(2 * (one - none))
         acted = acted.max(axis=0) if bent else acted
         if np.all(error <= _EXACT * (1 + np.abs(none)) + share * acted):
             return f"{int(own.sum())} amplitudes"
-    raise PluginError(
-        f"twice the amplitudes miss twice the effect by {np.max(error):.2g}",
-        "an effect linear in its amplitudes",
-    )
+        missed = float(np.max(error))
+    given = f"twice the amplitudes miss twice the effect by {missed:.2g}"
+    raise PluginError(given, "an effect linear in its amplitudes")
 
 
 def _values_by_amplitude(physics: Physics, own: Array, shapes: Array, size: float) -> Array:
