@@ -386,6 +386,7 @@ class Run:
         for r in self.rounds:
             c = r.comparison
             added = ", ".join(r.admitted) or ("the seed" if r.number == 0 else "nothing")
+            added += f" (let go: {', '.join(r.retired)})" if r.retired else ""
             errors = percent(c.fit_error), percent(c.test_error), number(c.chi2_per_dof)
             rows.append((r.number, added, *errors))
         return rows
