@@ -10,6 +10,7 @@ Array = np.ndarray
 
 MINIMUM_SAMPLES = 64
 JITTER = 0.02  # largest deviation of a time step from the mean one, as a share of it
+_OFF, _FEW = 0.25, 0.05  # shares: of a step that a clock with lost rows is off by, and how often
 _COARSE = 0.02  # share of steps of zero from which a clock is coarser than the rows
 _SCATTERED = -0.25  # correlation of a time step and the next: half that of stamps that scatter
 
@@ -87,10 +88,16 @@ def suggest_even_steps(steps: Array, mean: float) -> str:
             f"column of time; record.resample={rate} where the readings were taken so"
         )
     if longest > 1.5:
-        return (
-            f"record.resample={1 / mean:.4g} makes uneven steps even; where samples are missing, "
-            f"record.fill_gaps={round(longest) - 1} bridges so many, record.rows cuts there"
-        )
+        usual = float(np.median(steps))
+        off = np.abs(steps / usual - np.maximum(np.rint(steps / usual), 1.0))
+        gaps = f"record.fill_gaps={round(longest) - 1}"
+        if np.mean(off > _OFF) > _FEW:
+            return (
+                f"record.resample={1 / mean:.4g} makes uneven steps even; where samples are "
+                f"missing, {gaps} bridges so many, record.rows cuts there"
+            )
+        both = "" if np.all(off <= JITTER) else f" together with record.resample={1 / usual:.6g}"
+        return f"samples are missing: {gaps}{both} bridges so many, record.rows cuts there"
     return (
         f"record.resample={1 / mean:.4g} makes the steps even, record.rate={1 / mean:.4g} says so"
     )

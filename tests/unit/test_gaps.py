@@ -38,6 +38,37 @@ def test_an_input_that_would_be_made_up_is_refused_with_the_rows_beside_it(smoot
     assert caught.value.try_.startswith(f"record.rows='[[0, 400], [400, {COUNT - lost}]]'")
 
 
+HEATER = spiral.system(
+    ["C*T' = P - G*T"], states={"T": "K"},
+    inputs={"P": {"unit": "W", "interpolation": "zero_order"}},
+    parameters={"C": "50 J/K", "G": "3 W/K"}, observed=["T"],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.1])
+def test_a_held_input_stays_at_its_levels_over_gaps_and_uneven_steps(scatter):
+    """Akima and an anti-alias filter made -35 to 1528 W of a heater of 0 or 1500 W."""
+    rng = np.random.default_rng(4)
+    power = 1500.0 * (np.arange(COUNT) // 150 % 2)
+    time = TIME + scatter / RATE * rng.uniform(-1, 1, COUNT)
+    kept = np.r_[0:400, 404:COUNT]
+    series = {"t": time, "T": np.cumsum(power) / 1e4 + rng.normal(size=COUNT), "P": power}
+    resample = {"resample": RATE} if scatter else {}
+    record = spiral.read(
+        {k: v[kept] for k, v in series.items()}, HEATER, time="t", fill_gaps=4, **resample
+    )
+    assert set(np.unique(record.inputs["P"])) == {0.0, 1500.0}
+
+
+def test_lost_rows_of_a_clock_that_scatters_are_answered_with_one_advice():
+    rng = np.random.default_rng(5)
+    time = np.delete(600.0 * np.arange(400), [100, 101, 102, 250])
+    scattered = np.diff(time + rng.uniform(-20, 20, len(time)))
+    assert "record.fill_gaps=3 bridges" in suggest_even_steps(np.diff(time), 606.0)
+    said = suggest_even_steps(scattered, float(scattered.mean()))
+    assert "record.fill_gaps=3 together with record.resample=0.00166" in said
+
+
 def cells_lost(where, count=2000):
     """Of a force that is white noise, these cells are empty."""
     rng = np.random.default_rng(3)

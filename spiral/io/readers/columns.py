@@ -14,7 +14,12 @@ import numpy as np
 from spiral.io.readers import own_units, rotor_series
 from spiral.io.readers.layout import ColumnLayout
 from spiral.io.readers.pulses import Edge
-from spiral.io.readers.sampling import FileSeries, interpolate_gaps, resample_series
+from spiral.io.readers.sampling import (
+    FileSeries,
+    held_inputs_of,
+    interpolate_gaps,
+    resample_series,
+)
 from spiral.io.readers.table import Table
 from spiral.types.clock import check_increasing
 from spiral.types.errors import ConfigError, InputError, did_you_mean
@@ -278,7 +283,8 @@ class Columns(Source):
             check_increasing(name, time)
         series = rotor_series.unwrap_phase(series)
         if self.fill_gaps is not None:
-            series = interpolate_gaps(series, self.fill_gaps, self.missing == "leave_out", start)
+            left_out, held = self.missing == "leave_out", held_inputs_of(system)
+            series = interpolate_gaps(series, self.fill_gaps, left_out, start, held)
         if self.pulse is not None:
             series = rotor_series.add_pulse_phase(
                 system, series, self.pulse, self.pulse_level, self.pulse_edge

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -11,9 +11,12 @@ import numpy as np
 
 from spiral.types.clock import JITTER, MINIMUM_SAMPLES
 from spiral.types.errors import InputError
+from spiral.types.parameter import HELD
 from spiral.types.system import System
 
 Array = np.ndarray
+Bridge = Callable[[Array], Array]
+"""What puts values in the place of those that are missing."""
 
 _FINEST = 20000  # largest denominator of a change of rate
 _TAPS = 10  # half length of the anti-alias filter, in samples of the lower rate
@@ -62,13 +65,14 @@ class FileSeries:
 
 
 def interpolate_gaps(
-    series: FileSeries, longest: int, leave_out: bool = False, first: int = 0
-) -> FileSeries:
+    series: FileSeries, longest: int, leave_out: bool = False, first: int = 0,
+    held: Collection[str] = (),
+) -> FileSeries:  # fmt: skip
     """Missing values and missing rows bridged by Akima interpolation, up to ``longest`` in a row.
 
     What is put in the place of a sensor's reading is none: it is ``filled``. With ``leave_out``
     missing cells of a channel may be as many as they will. ``first`` is the file's row of the
-    first sample.
+    first sample. Inputs that are ``held`` stay at what they were.
 
     Raises
     ------
@@ -85,9 +89,10 @@ def interpolate_gaps(
         if not (leave_out and key in opened.channels):
             _check_gaps(opened, key, gaps, longest)
         counts[key] = gaps
-        bridged = _interpolate_missing(values)
+        across = _hold_missing if key in held else _interpolate_missing
+        bridged = across(values)
         if key in opened.inputs:
-            _check_bridges(series, opened.time, key, bridged, gaps, first)
+            _check_bridges(series, opened.time, key, bridged, gaps, first, across)
         return bridged
 
     bridged = opened.transform_series(bridge)
@@ -149,7 +154,7 @@ def _check_gaps(series: FileSeries, key: str, gaps: list[tuple[int, int]], longe
 
 def _check_bridges(
     series: FileSeries, time: Array, key: str, values: Array, gaps: list[tuple[int, int]],
-    first: int,
+    first: int, across: Bridge,
 ) -> None:  # fmt: skip
     """Refuse gaps of an input over which bridges of that length tell too little of it.
 
@@ -157,7 +162,7 @@ def _check_bridges(
     """
     start, stop = max(gaps, key=lambda gap: gap[1] - gap[0])
     lost = sum(b - a for a, b in gaps) / len(values)
-    missed = _bridging_error(values, gaps, stop - start)
+    missed = _bridging_error(values, gaps, stop - start, across)
     if not missed * np.sqrt(lost) > _MADE_UP:
         return
     raise InputError(
@@ -189,7 +194,9 @@ def _suggest_stretches(
     return f"record.rows='[{told}]' takes {what}, each stretch as a record of its own"
 
 
-def _bridging_error(values: Array, gaps: list[tuple[int, int]], length: int) -> float:
+def _bridging_error(
+    values: Array, gaps: list[tuple[int, int]], length: int, across: Bridge
+) -> float:
     """What bridges of so many samples miss where values are known, over their deviation (rms).
 
     Shorter ones are tried where so many are nowhere known in a row.
@@ -203,17 +210,17 @@ def _bridging_error(values: Array, gaps: list[tuple[int, int]], length: int) -> 
         whole = np.flatnonzero(np.convolve(known, np.ones(reach), "valid") == reach)
         if len(whole):
             places = whole[np.linspace(0, len(whole) - 1, _TRIED).astype(int)]
-            missed = [_bridge_miss(values[at : at + reach]) for at in places]
+            missed = [_bridge_miss(values[at : at + reach], across) for at in places]
             return float(np.sqrt(np.mean(np.square(missed)))) / spread
         length //= 2
     return 1.0 if spread > 0 else 0.0
 
 
-def _bridge_miss(values: Array) -> Array:
+def _bridge_miss(values: Array, across: Bridge) -> Array:
     """What a bridge over all but ``_CONTEXT`` values at either end misses."""
     part = values.copy()
     part[_CONTEXT:-_CONTEXT] = np.nan
-    return (_interpolate_missing(part) - values)[_CONTEXT:-_CONTEXT]
+    return (across(part) - values)[_CONTEXT:-_CONTEXT]
 
 
 def _samples(count: int) -> str:
@@ -240,7 +247,17 @@ def _interpolate_missing(values: Array) -> Array:
     return filled
 
 
+def _hold_missing(values: Array) -> Array:
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
+    return np.where(last >= 0, values[last], np.nan)
+
+
 # --- rates ---------------------------------------------------------------------------------------
+
+
+def held_inputs_of(system: System) -> tuple[str, ...]:
+    """The inputs that a system declares to be held between their samples."""
+    return tuple(i.name for i in system.inputs if i.interpolation in HELD)
 
 
 def resample_series(system: System, series: FileSeries, rate: float) -> FileSeries:
@@ -248,7 +265,8 @@ def resample_series(system: System, series: FileSeries, rate: float) -> FileSeri
 
     Signals pass a linear-phase low-pass (Kaiser window) at half the new rate; what the system calls
     smooth (speed, phase) is interpolated by a cubic spline. The ends that the filter cannot fill
-    are left out. Declared noise shrinks as white noise does in that filter.
+    are left out. Declared noise shrinks as white noise does in that filter. Where the rate stays,
+    inputs that are held jump at the same moments as before.
 
     Raises
     ------
@@ -268,7 +286,11 @@ def resample_series(system: System, series: FileSeries, rate: float) -> FileSeri
     step = (grid[1] - grid[0]) * down / up
     time = (grid[0] + step * np.arange(count))[edge : count - edge]
 
+    held = held_inputs_of(system) if up == down == 1 else ()
+
     def resample_values(key: str, values: Array) -> Array:
+        if key in held:
+            return values[np.maximum(np.searchsorted(series.time, time, "right") - 1, 0)]
         if key in smooth:
             return CubicSpline(series.time, values)(time)
         level = values if even else CubicSpline(series.time, values)(grid)
