@@ -209,7 +209,8 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
         ``free`` and ``fixed`` parameters (``fixed`` by name, or with values); ``test`` records, or
         the share ``holdout`` (0.2) that is kept apart, of each of ``holdout_blocks`` stretches (1);
         ``settle`` seconds of the test to which only its initial state and phase are fitted;
-        ``candidates`` (labels or effects; left out, all that fit);
+        ``candidates`` (names, at every place where they fit; ``NAME@PLACE``, or effects, there
+        alone; left out, all that fit);
         ``strategy`` (a name, a name with options, or an object); ``settings`` (fields of
         ``Settings``); ``plugins`` (a folder, or a registry); ``progress`` (a function that is
         called with progress messages, ``False`` for none).

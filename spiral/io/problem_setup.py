@@ -16,7 +16,7 @@ from spiral.io.registry import Registry
 from spiral.types.effect import Effect, is_other_value
 from spiral.types.errors import ConfigError
 from spiral.types.model import Model
-from spiral.types.placement import check_effect
+from spiral.types.placement import at_fitting_places, check_effect
 from spiral.types.port import varied_key
 from spiral.types.record import Record, check_fits, in_blocks, split_off_test
 
@@ -32,6 +32,8 @@ def candidates_for(
 ) -> tuple[Effect, ...]:
     """Effects that may be missing: those named, or all that fit, less those of the model.
 
+    ``everywhere`` : a name without a place is that effect at every place where it fits.
+
     Raises
     ------
     ConfigError : an effect that does not fit the system.
@@ -39,11 +41,15 @@ def candidates_for(
     if named is None:
         effects = registry.candidates(model.system, everywhere)
     else:
-        effects = tuple(
-            registry.effect_from_label(e) if isinstance(e, str) else e for e in dict.fromkeys(named)
-        )
-        for effect in effects:
-            check_effect(model.system, effect)
+        placed: dict[Effect, None] = {}
+        for one in dict.fromkeys(named):
+            effect = registry.effect_from_label(one) if isinstance(one, str) else one
+            open_place = everywhere and isinstance(one, str) and not effect.port
+            places = at_fitting_places(model.system, (effect,)) if open_place else ()
+            if not places:
+                check_effect(model.system, effect)
+            placed |= dict.fromkeys(places or (effect,))
+        effects = tuple(placed)
     return tuple(e for e in effects if e.label not in model.labels and not _is_of_freed(model, e))
 
 

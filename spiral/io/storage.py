@@ -263,7 +263,7 @@ def load_run(name: str, folder: str | os.PathLike[str]) -> SavedRun:
     if not known:
         raise ConfigError(
             f"run={name}", f"a saved run in {str(folder)!r}",
-            "spiral discover ... first; what Python made is not saved there (pickle keeps it)",
+            "run discover first; what Python made is not saved there (pickle keeps it)",
         )  # fmt: skip
     matches = [_latest_run_id(known, folder)] if name == LATEST else [i for i in known if i == name]
     matches = matches or [i for i in known if i.startswith(name)]

@@ -1,21 +1,26 @@
 """Where records begin, and what a filter's likelihood is worth that begins near there."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
+from spiral_plugins.effects.memory import HiddenStore
+from spiral_plugins.effects.sensors import SensorLag
 
 import spiral
 from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task, with_start_spread
 from spiral.engine.likelihood.noise import first_noise
 from spiral.engine.likelihood.predict import log_likelihood, predict_readings
+from spiral.inference.evidence.enlarge import reorder_starts
 from spiral.inference.likelihood.initial_states import (
     likely_initial_state,
     set_likely_initial_state,
 )
+from spiral.physics.trace import trace
 from spiral.types.record import make_record
 
 DT, COUNT, NOISE = 0.02, 200, 0.02
@@ -96,3 +101,50 @@ def test_a_linear_machine_begins_as_ever():
     near = with_start_spread(replace(task, start=np.array(BEGUN)), np.array([0.2, 0.4]))
     wide = with_start_spread(near, None)
     assert height(near, noise) == pytest.approx(height(wide, noise), abs=0.1)
+
+
+ROOM = spiral.system(
+    ["C*T' = P - G*(T - Tw)", "W*Tw' = G*(T - Tw) - H*(Tw - To)"],
+    states={"T": "K", "Tw": {"unit": "K", "start": 285}}, observed=["T"],
+    inputs={"P": {"unit": "W", "interpolation": "zero_order"}, "To": "K"},
+    parameters={"C": "5e5 J/K", "W": "6e6 J/K", "G": "120 W/K", "H": "30 W/K"}, free=["C", "G"],
+)  # fmt: skip
+
+
+def test_states_that_an_effect_brings_begin_as_declared_beside_states_that_were_smoothed():
+    """A store beside a room at 293 K began at 0 K, and was no candidate any more."""
+    rng, count, step = np.random.default_rng(0), 1200, 600.0
+    power = 1200.0 * (rng.normal(size=count // 12).repeat(12) > 0)
+    outside = 278 + 5 * np.sin(2 * np.pi * step * np.arange(count) / 86400)
+
+    def rates(t, x):
+        row = min(int(t / step + 1e-9), count - 1)
+        room, wall, store = x
+        beside = 75 * (room - store)
+        flows = [power[row] - 70 * (room - wall) - beside,
+                 70 * (room - wall) - 30 * (wall - outside[row]), beside]  # fmt: skip
+        return np.divide(flows, [6.2e5, 6e6, 1.5e6])
+
+    states = [np.array([293.0, 284.0, 293.0])]
+    for k in range(count - 1):
+        states.append(solve_ivp(rates, (k * step, (k + 1) * step), states[-1], rtol=1e-9).y[:, -1])
+    seen = np.array(states)[:, 0] + 0.03 * rng.normal(size=count)
+    data = {"t": step * np.arange(count), "T": seen, "P": power, "To": outside}
+    record = spiral.read(data, ROOM, time="t", units={"T": "K", "To": "K"}, hold={"To": "linear"})
+    run = spiral.discover(record, ROOM, candidates=["hidden_store", "linear_loss"], progress=False)
+    assert run.missing == ("hidden_store@T",)
+    found = run.estimates().loc["hidden_store@T"]["estimate"]
+    assert found["rate"] == pytest.approx(75 / 6.2e5, rel=0.1)
+    assert found["time_constant"] == pytest.approx(1.5e6 / 75, rel=0.1)
+
+
+def test_new_states_take_what_they_are_like_at_the_first_sample():
+    series = SimpleNamespace(inputs=np.array([[7.0, 278.0]]), y=np.array([[293.5]]))
+    traced = trace(ROOM, (HiddenStore(port="T"), SensorLag()))
+    before = ("T", "Tw")
+    (start,) = reorder_starts((np.array([293.0, 284.0]),), before, traced, (series,))
+    begun = dict(zip(traced.states, start, strict=True))
+    assert begun["T"] == begun["hidden_store@T.level"] == 293.0
+    assert begun["Tw"] == 284.0
+    assert begun["sensor_lag.level"] == 293.0
+    assert reorder_starts(None, before, traced, (series,)) is None

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from spiral.engine.series import Series
 from spiral.inference.evidence.admission import AdmittedEffect
 from spiral.inference.evidence.assembly import (
     Assembly,
@@ -24,6 +25,8 @@ from spiral.inference.evidence.assembly import (
 from spiral.inference.evidence.comparison import substeps_for
 from spiral.inference.evidence.fit_state import FitState
 from spiral.physics.formulas.laws import laws_of
+from spiral.physics.starts import fill_declared_starts
+from spiral.physics.trace import TracedModel
 from spiral.types.effect import Effect
 from spiral.types.label import split_variant
 from spiral.types.record import Array
@@ -135,10 +138,24 @@ def transfer_fit_state(fit_state: FitState, old: Assembly, new: Assembly) -> Fit
         if key in new.study.keys:
             values[:, new.study.index(key)] = fit_state.values[:, i]
     values[:, len(new.study.keys) :] = fit_state.values[:, tail:]
-    before, after = (x.study.compiled.traced.states for x in (old, new))
-    starts = reorder_states(fit_state.starts, before, after, 0.0)
-    spreads = reorder_states(fit_state.spreads, before, after, np.nan)
+    before, after = old.study.compiled.traced.states, new.study.compiled.traced
+    starts = reorder_starts(fit_state.starts, before, after, new.study.series)
+    spreads = reorder_states(fit_state.spreads, before, after.states, np.nan)
     return replace(fit_state, values=values, starts=starts, spreads=spreads)
+
+
+def reorder_starts(
+    rows: tuple[Array, ...] | None, before: tuple[str, ...], after: TracedModel,
+    series: Sequence[Series],
+) -> tuple[Array, ...] | None:  # fmt: skip
+    """Initial states in another study's order; new ones begin where they are declared to.
+
+    The store beside a room at 293 K begins as warm, and a slow sensor with what it reads.
+    """
+    starts = reorder_states(rows, before, after.states, 0.0)
+    for start, one in zip(starts or (), series, strict=starts is not None):
+        fill_declared_starts(after, start, one.inputs[0], one.y[0], known=before)
+    return starts
 
 
 def reorder_states(

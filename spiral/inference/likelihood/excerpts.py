@@ -9,7 +9,7 @@ import numpy as np
 
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.inference.evidence.assembly import Assembly, with_records
-from spiral.inference.evidence.enlarge import reorder_states
+from spiral.inference.evidence.enlarge import reorder_starts, reorder_states
 from spiral.inference.evidence.excerpt import Excerpt, Stretch, representative_stretches
 from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.likelihood.fitting import (
@@ -103,11 +103,11 @@ def whole_state(assembly: Assembly, state: FitState) -> FitState:
         next((k for k, s in enumerate(kept.stretches) if s.record == r), 0)
         for r in range(len(kept.series))
     ]
-    names = assembly.study.compiled.traced.states
+    traced = assembly.study.compiled.traced
     return replace(
         state, values=state.values[rows],
-        starts=reorder_states(kept.starts, kept.states, names, 0.0),
-        spreads=reorder_states(kept.spreads, kept.states, names, np.nan),
+        starts=reorder_starts(kept.starts, kept.states, traced, kept.series),
+        spreads=reorder_states(kept.spreads, kept.states, traced.states, np.nan),
     )  # fmt: skip
 
 
