@@ -134,6 +134,18 @@ class Equations(MechanicalSystem):
         return {f"system.{name}": value for name, value in self.form.definition.values}
 
     @property
+    def written_units(self):
+        """Name -> unit that the file has, and its size in the one here, where they differ."""
+        from spiral.physics.formulas.definition import value_and_unit
+        from spiral.physics.formulas.rows import size_of
+
+        units, written = self.form.units, {}
+        for name, words in self.form.definition.converted:
+            unit = value_and_unit(name, words)[1]
+            written[name] = (unit, size_of(unit) / size_of(units[name]))
+        return written
+
+    @property
     def ports(self):
         """Those named, each other coordinate, between any two, at each element; else each state."""
         return _equation_ports(self)

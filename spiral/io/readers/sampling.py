@@ -72,7 +72,7 @@ def interpolate_gaps(
 
     What is put in the place of a sensor's reading is none: it is ``filled``. With ``leave_out``
     missing cells of a channel may be as many as they will. ``first`` is the file's row of the
-    first sample. Inputs that are ``held`` stay at what they were.
+    first sample. Inputs that are ``held`` keep the level on either side up to the middle of a gap.
 
     Raises
     ------
@@ -162,9 +162,11 @@ def _check_bridges(
     """
     start, stop = max(gaps, key=lambda gap: gap[1] - gap[0])
     lost = sum(b - a for a, b in gaps) / len(values)
-    missed = _bridging_error(values, gaps, stop - start, across)
-    if not missed * np.sqrt(lost) > _MADE_UP:
+    lengths = [b - a for a, b in gaps]
+    misses = {n: _bridging_error(values, gaps, n, across) for n in set(lengths)}
+    if not sum(n * misses[n] ** 2 for n in lengths) > _MADE_UP**2 * len(values):
         return
+    missed = misses[stop - start]
     raise InputError(
         f"{series.name}: input {key!r} is missing for {lost:.2g} of the time, up to "
         f"{_samples(stop - start)} in a row (at {time[start]:.6g} s); where it is known, a bridge "
@@ -248,8 +250,12 @@ def _interpolate_missing(values: Array) -> Array:
 
 
 def _hold_missing(values: Array) -> Array:
-    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
-    return np.where(last >= 0, values[last], np.nan)
+    """The level before a gap up to its middle, then the one behind it."""
+    rows, known = np.arange(len(values)), np.flatnonzero(np.isfinite(values))
+    behind = np.clip(np.searchsorted(known, rows), 0, len(known) - 1)
+    before = np.clip(np.searchsorted(known, rows, "right") - 1, 0, len(known) - 1)
+    nearer = rows - known[before] <= known[behind] - rows
+    return values[np.where(nearer, known[before], known[behind])]
 
 
 # --- rates ---------------------------------------------------------------------------------------
@@ -290,7 +296,8 @@ def resample_series(system: System, series: FileSeries, rate: float) -> FileSeri
 
     def resample_values(key: str, values: Array) -> Array:
         if key in held:
-            return values[np.maximum(np.searchsorted(series.time, time, "right") - 1, 0)]
+            halfway = (series.time[1:] + series.time[:-1]) / 2  # a stamp may be a little late
+            return values[np.searchsorted(halfway, time)]
         if key in smooth:
             return CubicSpline(series.time, values)(time)
         level = values if even else CubicSpline(series.time, values)(grid)

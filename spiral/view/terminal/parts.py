@@ -160,7 +160,11 @@ def print_outcome_error(console: Console, outcome: Outcome) -> None:
 
 
 def parameter_table(model: Any) -> Table:
-    """Every parameter of a model: estimate with standard error, t, unit."""
+    """Every parameter of a model: estimate with standard error, t, unit.
+
+    Those that were fitted are told below in the units of the model's file as well, where it has
+    others.
+    """
     table = ruled_table(
         "effect", "parameter", "estimate ± se", "t", "unit", right=["estimate ± se", "t"]
     )
@@ -169,4 +173,19 @@ def parameter_table(model: Any) -> Table:
             value = plus_minus(estimate.estimate, estimate.se)
             t = number(estimate.t, 3) if estimate.t is not None else "given"
             table.add_row(owner if index == 0 else "", name, value, t, estimate.unit or "1")
+    table.caption, table.caption_justify = _estimates_as_written(model), "left"
     return table
+
+
+def _estimates_as_written(model: Any) -> str | None:
+    """What was fitted of the system in the units that its file has; nothing where they agree."""
+    written, fitted = (
+        getattr(model.system, "written_units", {}),
+        model.estimates().get("system", {}),
+    )
+    told = [
+        f"{name} {plus_minus(one.estimate / size, one.se / size)} {unit}"
+        for name, (unit, size) in written.items()
+        if (one := fitted.get(name)) is not None and one.se is not None
+    ]
+    return f"in the units of the model's file: {', '.join(told)}" if told else None
