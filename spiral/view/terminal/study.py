@@ -167,6 +167,8 @@ def _comparison_table(comparisons: dict[str, Comparison]) -> Table:
     for name in first.channels:
         unit = first.model.system.unit_of(name)
         rows[f"test rmse {name} ({unit})"] = lambda c, n=name: number(c.channels[n].rmse)
+    if any(c.traces for c in comparisons.values()):  # errors are over the deviation from there on
+        rows["test scored from"] = lambda c: f"sample {c.traces.settled}" if c.traces else "-"
     rows["chi2/dof"] = lambda c: number(c.chi2_per_dof)
     rows["whiteness p"] = lambda c: probability(c.whiteness_p)
     rows["horizon"] = lambda c: f"{c.horizon} samples"
