@@ -280,11 +280,10 @@ def estimate(
     with _progress_context(choices) as progress:
         _reject_unknown_choices(choices, "estimate")
         known, records = _model(model, registry), _records(record)
-        if isinstance(model, Run):  # inputs run between samples as the study found
-            records = tuple(r.running(model.final.between) for r in records)
         chosen = _plugin("observer", observer, registry)
         models = (known,) * len(records)
-        return step(models, records, chosen, progress, uncertain=uncertain)
+        between = model.final.between if isinstance(model, Run) else None
+        return step(models, records, chosen, progress, uncertain=uncertain, between=between)
 
 
 def identify(

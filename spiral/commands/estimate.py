@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from spiral.io.request import OK, REFUSED, Outcome
 from spiral.types.errors import ConfigError
+from spiral.types.parameter import Interpolation
 
 if TYPE_CHECKING:
     from spiral.commands.study import Command
@@ -37,7 +38,8 @@ def reconstruct_states(study: Command) -> Outcome:
         )  # fmt: skip
     known = tuple(fitted_prior(fitted, i) for i in range(len(records))) if fitted else ()
     grids = fitted.grids if fitted else ()
-    estimation = estimate(models, records, observer, study.tell, grids, uncertain, known)
+    between = _inputs_as_found(config)
+    estimation = estimate(models, records, observer, study.tell, grids, uncertain, known, between)
     written = _write_state_tables(study.request.out, estimation)
     result: dict[str, Any] = estimation.as_dict()
     result["calibration"] = _calibration_dict(fitted) if fitted else None
@@ -55,6 +57,17 @@ def reconstruct_states(study: Command) -> Outcome:
         "registry": registry,
     }
     return Outcome(REFUSED if estimation.diverged else OK, result, parts)
+
+
+def _inputs_as_found(config: dict[str, Any]) -> dict[str, Interpolation]:
+    """How inputs run between their samples, as the study of the run that is taken up found it."""
+    from spiral.io.storage import load_run
+
+    if not config.get("run"):
+        return {}
+    found = load_run(config["run"], config["out"]).result.get("between")
+    known = found.items() if isinstance(found, dict) else ()
+    return {str(name): way for name, way in known if way in get_args(Interpolation)}
 
 
 def _calibrate_if_needed(

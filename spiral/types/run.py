@@ -430,6 +430,7 @@ class Run:
             "noise_floor": self.final.floor if self.rounds else None,
             "advice": self.advice,
             "alias_groups": [list(g) for g in self.alias_groups],
+            "between": dict(self.final.between) if self.rounds else {},
             "run_id": self.run_id,
             "context": dict(self.context),
             "unknown": self.unknown,

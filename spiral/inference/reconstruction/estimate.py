@@ -26,7 +26,7 @@ from spiral.inference.reconstruction.consistency import (
     normalised_squares,
 )
 from spiral.inference.reconstruction.consistency import stable_samples as stable
-from spiral.inference.reconstruction.inputs import widen_by_undecided_inputs
+from spiral.inference.reconstruction.inputs import Ways, widen_by_undecided_inputs
 from spiral.inference.reconstruction.observability import Observability, observability
 from spiral.inference.reconstruction.uncertain import declared_prior, model_prior
 from spiral.physics.effect_states import own_states
@@ -244,6 +244,7 @@ def estimate(
     grids: Sequence[tuple[Array, int] | None] = (),
     uncertain: Mapping[str, Any] | None = None,
     known: Sequence[Prior | None] = (),
+    between: Ways | None = None,
 ) -> Estimation:
     """Run an observer over records.
 
@@ -255,6 +256,7 @@ def estimate(
     uncertain : what is declared of parameters (``spiral.inference.reconstruction.uncertain``);
         none, the standard errors that a model has of a fit; empty, nothing: values are exact.
     known : for each record, what a fit knows of them.
+    between : how a study found inputs to run between their samples, where no record declares it.
 
     Raises
     ------
@@ -269,7 +271,8 @@ def estimate(
     for index, (model, record) in enumerate(zip(models, records, strict=True)):
         check_fits(model.system, record)
         inputs, substeps = (grids[index] if grids else None) or (None, None)
-        task = prepare_task(model, record, inputs=inputs, substeps=substeps)
+        running = record.running(between or {})
+        task = prepare_task(model, running, inputs=inputs, substeps=substeps)
         if observer.doubts:
             fitted = known[index] if known else None
             task = replace(task, prior=_prior_of(model, task, uncertain, fitted))
@@ -277,7 +280,9 @@ def estimate(
         part = reconstruct_record(task, observer)
         if observer.doubts and inputs is None and not part.diverged:
             progress(f"inputs of {record.name} between their samples")
-            wider = widen_by_undecided_inputs(task, observer, part.reconstruction)
+            wider = widen_by_undecided_inputs(
+                task, observer, part.reconstruction, record, between or {}
+            )
             part = _described_part(task, wider.reconstruction, wider.names)
         parts.append(part)
     return combine_reconstructions(observer.plugin_name(), parts)

@@ -12,7 +12,7 @@ A rate that no sensor sees follows the force between two samples; its readings h
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -20,7 +20,9 @@ import numpy as np
 from spiral.engine.filter.observer import Observer, Reconstruction
 from spiral.engine.filter.task import FilterInput, with_record
 from spiral.types.parameter import Interpolation
+from spiral.types.record import Record
 
+Ways = Mapping[str, Interpolation]
 _WAYS: tuple[Interpolation, ...] = ("smooth", "band_limited", "linear", "zero_order")
 _TOLD = 0.01  # share of the likelihood from which a way is said to be possible
 _ALIKE = 1e-6  # of an input's deviation, by which two ways do not differ
@@ -35,14 +37,17 @@ class UndecidedInputs:
 
 
 def widen_by_undecided_inputs(
-    task: FilterInput, observer: Observer, own: Reconstruction
+    task: FilterInput, observer: Observer, own: Reconstruction, record: Record, between: Ways
 ) -> UndecidedInputs:
-    """The reconstruction with the doubt of inputs that no record declares (``Record.hold``)."""
+    """The reconstruction with the doubt of inputs that the record does not declare (its ``hold``).
+
+    ``between`` : how a study found them to run, as they do in the task.
+    """
     if own.levels and any(f.name == "process_noise" for f in fields(observer)):
         observer = replace(observer, process_noise=dict(own.levels))  # not tuned for each way
     others = [
         (names, again)
-        for names, other in _other_ways(task)
+        for names, other in _other_ways(task, record, between)
         if (again := observer.reconstruct(other)).done == own.done
         and np.isfinite(again.log_likelihood)
         and again.means.shape == own.means.shape
@@ -62,17 +67,23 @@ def widen_by_undecided_inputs(
     return UndecidedInputs(wider, tuple(dict.fromkeys(told)))
 
 
-def _other_ways(task: FilterInput) -> Iterator[tuple[tuple[str, ...], FilterInput]]:
+def _other_ways(
+    task: FilterInput, record: Record, between: Ways
+) -> Iterator[tuple[tuple[str, ...], FilterInput]]:
     """The task with each other interpolation of each open input, and of all of them together."""
-    record, system = task.series.record, task.model.system
-    usual = [i for i in system.inputs if not (i.derivative or i.derived_from)]
+    inputs = task.model.system.inputs
+    usual = [i for i in inputs if not (i.derivative or i.derived_from)]
     free = [i for i in usual if i.name not in record.hold]
     groups = [(i,) for i in free] + ([tuple(free)] if len(free) > 1 else [])
     scale = np.maximum(np.std(task.inputs, axis=0), np.finfo(float).tiny)
     seen = [task.inputs]
     for some in groups:
         for way in _WAYS:
-            other = with_record(task, record.running({i.name: way for i in some}))
+            ways: dict[str, Interpolation] = {
+                **between,
+                **dict.fromkeys([i.name for i in some], way),
+            }
+            other = with_record(task, record.running(ways))
             alike = (
                 i.shape == other.inputs.shape
                 and float(np.max(np.abs(i - other.inputs) / scale, initial=0.0)) < _ALIKE
