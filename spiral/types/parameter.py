@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isclose
 from typing import Literal
@@ -125,6 +126,9 @@ Interpolation = Literal[
     "smooth", "band_limited", "linear", "denoised",
     "zero_order", "zero_order_1", "zero_order_2", "zero_order_3",
 ]  # fmt: skip
+
+Ways = Mapping[str, Interpolation]
+"""Inputs by name, and how each runs between its samples."""
 
 BETWEEN: dict[Interpolation, str] = {
     "smooth": "a cubic spline through the samples",

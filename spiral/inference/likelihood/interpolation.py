@@ -7,7 +7,7 @@ looks like an actuator that lags or limits its rate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -24,10 +24,8 @@ from spiral.inference.likelihood.fitting import (
     prepare_filter_tasks,
 )
 from spiral.inference.problem import DECISIVE_ODDS, Problem, Progress
-from spiral.types.parameter import HELD, Input, Interpolation
+from spiral.types.parameter import HELD, Input, Interpolation, Ways
 from spiral.types.record import Array
-
-Ways = Mapping[str, Interpolation]
 
 _SHOWN = 1.0  # squared change of the whitened misses from which a record can tell two ways apart
 _REACH = 0.1  # share of what a way has to gain that it shows to first order

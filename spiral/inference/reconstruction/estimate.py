@@ -26,7 +26,7 @@ from spiral.inference.reconstruction.consistency import (
     normalised_squares,
 )
 from spiral.inference.reconstruction.consistency import stable_samples as stable
-from spiral.inference.reconstruction.inputs import Ways, widen_by_undecided_inputs
+from spiral.inference.reconstruction.inputs import widen_by_undecided_inputs
 from spiral.inference.reconstruction.observability import Observability, observability
 from spiral.inference.reconstruction.uncertain import declared_prior, model_prior
 from spiral.physics.effect_states import own_states
@@ -34,6 +34,7 @@ from spiral.types.display import Readable, Summary
 from spiral.types.errors import ConfigError
 from spiral.types.formatting import number, percent
 from spiral.types.model import Model, pretty_unit
+from spiral.types.parameter import Ways
 from spiral.types.record import Array, Record, check_fits
 
 if TYPE_CHECKING:

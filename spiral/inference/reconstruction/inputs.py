@@ -12,17 +12,16 @@ A rate that no sensor sees follows the force between two samples; its readings h
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from spiral.engine.filter.observer import Observer, Reconstruction
 from spiral.engine.filter.task import FilterInput, with_record
-from spiral.types.parameter import Interpolation
+from spiral.types.parameter import Interpolation, Ways
 from spiral.types.record import Record
 
-Ways = Mapping[str, Interpolation]
 _WAYS: tuple[Interpolation, ...] = ("smooth", "band_limited", "linear", "zero_order")
 _TOLD = 0.01  # share of the likelihood from which a way is said to be possible
 _ALIKE = 1e-6  # of an input's deviation, by which two ways do not differ
@@ -45,25 +44,24 @@ def widen_by_undecided_inputs(
     """
     if own.levels and any(f.name == "process_noise" for f in fields(observer)):
         observer = replace(observer, process_noise=dict(own.levels))  # not tuned for each way
-    others = [
-        (names, again)
-        for names, other in _other_ways(task, record, between)
-        if (again := observer.reconstruct(other)).done == own.done
-        and np.isfinite(again.log_likelihood)
-        and again.means.shape == own.means.shape
-    ]
+    others, likely, apart = [], [own.log_likelihood], []
+    for names, other in _other_ways(task, record, between):
+        again = observer.reconstruct(other)
+        alike = again.done == own.done and again.means.shape == own.means.shape
+        if alike and np.isfinite(again.log_likelihood):
+            others.append(names)
+            likely.append(again.log_likelihood)
+            apart.append(np.nan_to_num(again.means - own.means))
     if not others or not np.isfinite(own.log_likelihood):
         return UndecidedInputs(own)
-    likely = np.array([own.log_likelihood, *(r.log_likelihood for _, r in others)])
-    weights = np.exp(likely - likely.max())
+    weights = np.exp(np.array(likely) - max(likely))
     weights = weights[1:] / weights.sum()
-    apart = [np.nan_to_num(r.means - own.means) for _, r in others]
     variance = sum(w * d**2 for w, d in zip(weights, apart, strict=True))
     wider = replace(own, deviations=np.sqrt(own.deviations**2 + variance))
     if len(own.covariances):
         outer = (w * d[:, :, None] * d[:, None, :] for w, d in zip(weights, apart, strict=True))
         wider = replace(wider, covariances=own.covariances + sum(outer))
-    told = [n for (names, _), w in zip(others, weights, strict=True) if w >= _TOLD for n in names]
+    told = [n for names, w in zip(others, weights, strict=True) if w >= _TOLD for n in names]
     return UndecidedInputs(wider, tuple(dict.fromkeys(told)))
 
 
