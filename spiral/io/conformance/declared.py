@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from spiral.types.errors import InputError
 from spiral.types.formatting import extent, number
 from spiral.types.model import seed_model
+from spiral.types.parameter import HELD
 from spiral.types.record import Record
 from spiral.types.source import Source
 from spiral.types.system import System
@@ -39,7 +40,8 @@ def _declared(system: System) -> Iterator[str]:
         yield "named by let, and parameters may follow it: " + ", ".join(named)
     for given in system.inputs:
         if given.derived_from is None:
-            yield f"{given.name}: {given.shape}"
+            open_way = "" if given.interpolation in HELD else "first tried as "
+            yield f"{given.name}: {open_way}{given.shape}"
 
 
 def _valued(name: str, value: float | None) -> str:
