@@ -102,6 +102,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return 130
+    except RuntimeError as error:  # Python 3.11 wraps what interrupts the making of a class
+        if not isinstance(error.__cause__, KeyboardInterrupt | SystemExit):
+            raise
+        print("stopped", file=sys.stderr)
+        return 130
     except BrokenPipeError:  # as in: spiral plugins | head -1
         _discard_stdout()
         return 0
