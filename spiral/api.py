@@ -398,8 +398,10 @@ def _records(given: Records) -> tuple[Record, ...]:
     ------
     ConfigError : what is none: a system where the arguments were exchanged, the path of a file.
     """
+    from spiral.io.readers.frames import is_frame
+
     one_or_more: Any = given
-    single = isinstance(given, Record | str | Mapping) or hasattr(given, "columns")
+    single = isinstance(given, Record | str | Mapping) or is_frame(given)
     if single or not isinstance(given, Iterable):
         one_or_more = (given,)
     records = tuple(one_or_more)

@@ -115,7 +115,7 @@ class ActuatorLag(InputEffect):
 
     def limit_values(self, values):
         """A sensor's lag or a delay of s T, by which slow motion is late."""
-        return late_by(values["share"] * values["time_constant"])
+        return late_by([values["share"] * values["time_constant"]])
 
     def remark(self, values, step):
         """Remarks on a lag of half a sample, and on a share near 2, which stands for a delay."""
@@ -268,7 +268,7 @@ class InputDelay(InputEffect):
 
     def limit_values(self, values):
         """A sensor's delay or lag of the same time."""
-        return late_by(values.get("time", 0.0))
+        return late_by([values["time"]])
 
     def remark(self, values, step):
         """Remarks on a negative delay, and on one of half a sample."""

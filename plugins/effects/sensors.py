@@ -96,9 +96,18 @@ class AxisRotation(SensorEffect):
         return [first + p.angle * second, second - p.angle * first]
 
 
-def late_by(time):
-    """How each effect that is late names its values, for one that is late by so much."""
-    return {"time": time, "scale": time, "share": 1.0, "time_constant": time}
+def late_by(times):
+    """How each effect that is late names its values, for one whose axes are late by these times.
+
+    By their mean; nothing where that is no delay.
+    """
+    late = sum(times) / len(times)
+    return {"time": late, "scale": late, "share": 1.0, "time_constant": late} if late > 0 else {}
+
+
+def times_of(values):
+    """The times by which the axes of a late effect are late."""
+    return [v for k, v in values.items() if k.startswith("time")]
 
 
 class Delay(SensorEffect):
@@ -151,11 +160,11 @@ class Delay(SensorEffect):
 
     def limit_values(self, values):
         """A lag of the same time."""
-        return late_by(values.get("time", 0.0))
+        return late_by(times_of(values))
 
     def remark(self, values, step):
         """Remarks on a negative delay, and on one of half a sample."""
-        times = [v for k, v in values.items() if k.startswith("time")]
+        times = times_of(values)
         if max(times) < 0:
             return f"no sensor is early: the inputs are recorded {-max(times):.2g} s or more late"
         return half_sample_remark(min(times), step)
@@ -206,11 +215,11 @@ class SensorLag(SensorEffect):
 
     def limit_values(self, values):
         """An actuator's lag or a delay of the same time."""
-        return late_by(values.get("time", 0.0))
+        return late_by(times_of(values))
 
     def contradiction(self, fitted):
         """With T near 2 z it is Pade's first approximation of a delay of T, and no lag."""
-        times = [v for k, v in fitted.items() if k.startswith("time")]
+        times = times_of(fitted)
         if "scale" not in fitted or not times or max(times) < _LATE * fitted["scale"]:
             return ""
         return "what it reports first goes the other way, as a delay's reading does and no lag's"

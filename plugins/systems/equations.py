@@ -38,11 +38,12 @@ class Equations(MechanicalSystem):
 
     def __post_init__(self):
         """Read the file and its equations, so that what is wrong is said at once."""
+        from spiral.physics.formulas.coherent import text_in_units_that_fit
         from spiral.physics.formulas.definition import check_free_parameters, text_of_file
 
         text = self.text or (text_of_file(self.path) if self.path else EXAMPLE)
         try:
-            object.__setattr__(self, "text", _in_units_that_fit(text))
+            object.__setattr__(self, "text", text_in_units_that_fit(text))
             _ = self.ports
             if self.path:
                 check_free_parameters(self.form.definition)
@@ -134,13 +135,18 @@ class Equations(MechanicalSystem):
         return {f"system.{name}": value for name, value in self.form.definition.values}
 
     @property
+    def written(self):
+        """Name -> what the file says of it, its value and unit, where it is in SI here."""
+        return dict(self.form.definition.converted)
+
+    @property
     def written_units(self):
         """Name -> unit that the file has, and its size in the one here, where they differ."""
         from spiral.physics.formulas.definition import value_and_unit
         from spiral.physics.formulas.rows import size_of
 
         units, written = self.form.units, {}
-        for name, words in self.form.definition.converted:
+        for name, words in self.written.items():
             unit = value_and_unit(name, words)[1]
             written[name] = (unit, size_of(unit) / size_of(units[name]))
         return written
@@ -220,29 +226,6 @@ def _compute_formulas(texts, values):
     from spiral.physics.formulas import syntax
 
     return [syntax.compute(text, values) for text in texts]
-
-
-def _in_units_that_fit(text):
-    """The text, or the same in SI units where those that it has do not go together."""
-    from spiral.physics.formulas.coherent import coherent_sections
-    from spiral.physics.formulas.equations import equations_of
-    from spiral.physics.formulas.function import dump_sections
-    from spiral.physics.formulas.rows import UnitSizeError
-
-    try:
-        equations_of(text)
-        return text
-    except UnitSizeError as error:
-        reason = error
-    for time_alone in (True, False):
-        if (sections := coherent_sections(text, time_alone)) is None:
-            continue
-        try:
-            equations_of(converted := dump_sections(sections))
-            return converted
-        except UnitSizeError:
-            continue
-    raise reason
 
 
 @kept(32)

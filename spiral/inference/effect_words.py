@@ -17,14 +17,8 @@ from spiral.types.formatting import first_words, join_words, number
 from spiral.types.model import Model, pretty_unit
 from spiral.types.placement import at_every_place
 from spiral.types.port import place_name, varied_key
-from spiral.types.run import Round
+from spiral.types.run import Round, untold_effects
 from spiral.types.system import System
-
-
-def admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Effects that were admitted and that the last model still has."""
-    held = rounds[-1].comparison.model.labels
-    return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
 
 
 def name_effects(rounds: Sequence[Round], labels: Sequence[str], least_t: float) -> str:
@@ -32,21 +26,18 @@ def name_effects(rounds: Sequence[Round], labels: Sequence[str], least_t: float)
 
     ``least_t`` : |estimate| over standard error from which an effect of sensors acts on one.
     """
-    model, admitted = rounds[-1].comparison.model, admitted_labels(rounds)
+    model = rounds[-1].comparison.model
     return ", ".join(
-        _label_with_place(model, x, least_t) + _look_alikes_clause(model, rounds, x, admitted)
-        for x in labels
+        _label_with_place(model, x, least_t) + _look_alikes_clause(model, rounds, x) for x in labels
     )
 
 
-def _look_alikes_clause(
-    model: Model, rounds: Sequence[Round], label: str, admitted: tuple[str, ...]
-) -> str:
+def _look_alikes_clause(model: Model, rounds: Sequence[Round], label: str) -> str:
     """An effect's look-alikes, in brackets; empty where there are none.
 
     The same effect at the first place of a system, whose label leaves that out, is named with it.
     """
-    alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()) if a not in admitted)
+    alike = untold_effects(rounds, label)
     if not alike:
         return ""
     ours = next((e for e in model.effects if e.label == label), None)

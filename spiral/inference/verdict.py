@@ -17,7 +17,7 @@ from spiral.inference.disturbances import (
     record_sentence,
     what_acts,
 )
-from spiral.inference.effect_words import admitted_labels, name_effects
+from spiral.inference.effect_words import name_effects
 from spiral.inference.identifiability.undetermined import (
     describe_held_parameters,
     describe_undetermined_parameters,
@@ -46,7 +46,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.horizon import changes
 from spiral.types.label import split_key
 from spiral.types.model import Model
-from spiral.types.run import UNTOLD, Comparison, Round, StopReason, Verdict
+from spiral.types.run import UNTOLD, Comparison, Round, StopReason, Verdict, admitted_labels
 from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -397,9 +397,7 @@ class Run:
 
     def look_alikes(self, label: str) -> tuple[str, ...]:
         """Effects outside the final model that the record cannot tell from one that was added."""
-        added = {x for r in self.rounds for x in r.admitted if x in self.model.labels}
-        alike = dict.fromkeys(a for r in self.rounds for a in r.aliases.get(label, ()))
-        return tuple(a for a in alike if a not in added)
+        return untold_effects(self.rounds, label)
 
     @property
     def final(self) -> Comparison:
@@ -436,6 +434,18 @@ class Run:
             "unknown": self.unknown,
             "memory": self.memory,
         }
+
+
+def admitted_labels(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Effects that were admitted and that the last model still has."""
+    held = rounds[-1].comparison.model.labels
+    return tuple(dict.fromkeys(x for r in rounds for x in r.admitted if x in held))
+
+
+def untold_effects(rounds: Sequence[Round], label: str) -> tuple[str, ...]:
+    """What the record cannot tell from an admitted effect, effects of the last model apart."""
+    alike = dict.fromkeys(a for r in rounds for a in r.aliases.get(label, ()))
+    return tuple(a for a in alike if a not in admitted_labels(rounds))
 
 
 def require_run(given: object) -> Run:

@@ -180,3 +180,8 @@ def test_twins_are_late_by_the_same_time():
     lag, delay = (REGISTRY.make("effect", n) for n in ("actuator_lag", "input_delay"))
     assert lag.limit_values({"share": 0.5, "time_constant": 4.0})["time"] == 2.0
     assert delay.limit_values({"time": 3.0, "scale": 1.0})["time_constant"] == 3.0
+    pair = {"time_x": 2.0, "time_y": 4.0, "scale": 1.0}
+    for name in ("delay", "sensor_lag"):
+        assert REGISTRY.make("effect", name).limit_values(pair)["time"] == 3.0
+        early = {"time_x": -2.0, "time_y": 1.0, "scale": 1.0}  # its own scale stays
+        assert not REGISTRY.make("effect", name).limit_values(early)

@@ -284,7 +284,10 @@ def estimate(
             wider = widen_by_undecided_inputs(
                 task, observer, part.reconstruction, record, between or {}
             )
-            part = _described_part(task, wider.reconstruction, wider.names)
+            nees = _nees(task, wider.reconstruction, skipped_samples(record))
+            part = replace(
+                part, reconstruction=wider.reconstruction, nees=nees, undecided=wider.names
+            )
         parts.append(part)
     return combine_reconstructions(observer.plugin_name(), parts)
 
@@ -300,13 +303,8 @@ def _prior_of(
 
 def reconstruct_record(task: FilterInput, observer: Observer) -> RecordReconstruction:
     """One record through an observer, with its statistics."""
-    return _described_part(task, observer.reconstruct(task))
-
-
-def _described_part(
-    task: FilterInput, reconstruction: Reconstruction, undecided: tuple[str, ...] = ()
-) -> RecordReconstruction:
     record = task.series.record
+    reconstruction = observer.reconstruct(task)
     first = skipped_samples(record)
     return RecordReconstruction(
         record,
@@ -315,7 +313,6 @@ def _described_part(
         consistency(reconstruction, record, first),
         _nees(task, reconstruction, first),
         stable(reconstruction, record),
-        undecided,
     )
 
 

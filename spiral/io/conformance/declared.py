@@ -28,10 +28,8 @@ def _declared(system: System) -> Iterator[str]:
     known = [_valued(p.name, p.start) for p in system.parameters if p.start is not None]
     if known:
         yield "known: " + ", ".join(known)
-    if converted := getattr(getattr(system, "form", None), "definition", None):
-        was = [f"{name} from {words}" for name, words in converted.converted]
-        if was:
-            yield "in SI: " + ", ".join(was)
+    if written := getattr(system, "written", {}):
+        yield "in SI: " + ", ".join(f"{name} from {words}" for name, words in written.items())
     begun = [_valued(s.name, s.start) for s in system.states if s.start]
     if begun:
         yield "begins near: " + ", ".join(begun)

@@ -216,11 +216,11 @@ class Columns(Source):
 
     def _rate_doubts(self, table: Table) -> dict[str, str]:
         """A question where the rate that was given is not that of a column of time."""
-        names = [c for n in _TIME_COLUMNS if (c := table.find_column(n))]
-        if self.rate is None or not names:
+        column = _usual_time_column(table)
+        if self.rate is None or not column:
             return {}
         try:
-            steps = np.diff(table.column(names[0], "record.time", 0, table.rows({"": names[0]})))
+            steps = np.diff(table.column(column, "record.time", 0, table.rows({"": column})))
         except InputError:
             return {}
         step = float(np.median(steps)) if len(steps) else 0.0
@@ -228,7 +228,7 @@ class Columns(Source):
         if step <= 0 or np.ptp(steps) > 0.1 * step or np.isclose(step, agree, rtol=0.01).any():
             return {}
         doubt = (
-            f"record.rate={self.rate:g} was taken, but column {names[0]!r} goes on by {step:.4g} a "
+            f"record.rate={self.rate:g} was taken, but column {column!r} goes on by {step:.4g} a "
             f"row, {1 / step:.4g} samples per s: without record.rate that column is the time"
         )
         return {"time": doubt}
@@ -346,9 +346,8 @@ class Columns(Source):
             return {}
         if self.time is not None:
             return {"time": table.find_column(self.time) or self.time}
-        for name in _TIME_COLUMNS:
-            if column := table.find_column(name):
-                return {"time": column}
+        if column := _usual_time_column(table):
+            return {"time": column}
         raise InputError(
             f"{table.name}: no column of time among {', '.join(table.columns[:12])}",
             "its name, or the sample rate",
@@ -398,6 +397,11 @@ class Columns(Source):
                 )
         named = {n: table.units[c] for n, c in columns.items() if c in table.units}
         return {**named, **by_column, **given}
+
+
+def _usual_time_column(table: Table) -> str:
+    """The column that is called as one of time is; empty where none is."""
+    return next((c for n in _TIME_COLUMNS if (c := table.find_column(n))), "")
 
 
 def _row_range(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from spiral.io.readers.moments import seconds_of
 from spiral.physics.formulas.observed import with_primes
 from spiral.types.errors import InputError, near_misses, similar_files
 
@@ -199,8 +200,6 @@ def _parse_numbers(values: Any, decimal: str, timed: bool = False) -> tuple[Arra
     ``timed`` : text may also say moments, which become seconds from the first row.
     """
     import pandas as pd
-
-    from spiral.io.readers.moments import seconds_of
 
     series = pd.Series(values)
     if pd.api.types.is_datetime64_any_dtype(series):

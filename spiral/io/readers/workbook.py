@@ -23,7 +23,7 @@ SEPARATOR = "\t"
 
 def is_workbook(path: Path) -> bool:
     """Whether a zip archive holds a workbook of any program, not arrays."""
-    return bool(_members(path, (_MARK, *_OTHERS)))
+    return any(name.startswith((_MARK, *_OTHERS)) for name in _unpacked_sizes(path))
 
 
 def sheet_texts(given: str, path: Path, openpyxl: Any) -> Iterator[tuple[str, str]]:
@@ -33,15 +33,14 @@ def sheet_texts(given: str, path: Path, openpyxl: Any) -> Iterator[tuple[str, st
     ------
     InputError : a workbook of another program, or one that unpacks to too much.
     """
-    if not _members(path, (f"{_MARK}xml",)):
+    sizes = _unpacked_sizes(path)
+    if f"{_MARK}xml" not in sizes:
         raise InputError(
             f"{given}: a spreadsheet that is no Excel workbook (xlsx)",
             "CSV or xlsx",
             "save it as one of these in the program that made it",
         )
-    with zipfile.ZipFile(path) as archive:
-        unpacked = sum(member.file_size for member in archive.infolist())
-    if unpacked > _UNPACKED:
+    if (unpacked := sum(sizes.values())) > _UNPACKED:
         raise InputError(
             f"{given}: a workbook of {unpacked / 1e6:.0f} MB when unpacked",
             f"at most {_UNPACKED / 1e6:.0f} MB",
@@ -63,12 +62,13 @@ def sheet_texts(given: str, path: Path, openpyxl: Any) -> Iterator[tuple[str, st
                 yield sheet.title, text + "\n"
 
 
-def _members(path: Path, beginnings: tuple[str, ...]) -> list[str]:
+def _unpacked_sizes(path: Path) -> dict[str, int]:
+    """What an archive declares of its members, in bytes; nothing where it is none."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return [n for n in archive.namelist() if n.startswith(beginnings)]
+            return {member.filename: member.file_size for member in archive.infolist()}
     except (zipfile.BadZipFile, OSError):
-        return []
+        return {}
 
 
 def _line_of(row: tuple[Any, ...]) -> str:

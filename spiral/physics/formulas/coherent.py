@@ -11,6 +11,7 @@ equation holds one that may be a conversion by hand (1440, 0.001), nothing is co
 from __future__ import annotations
 
 import ast
+import contextlib
 import re
 from collections.abc import Mapping
 from math import isclose
@@ -18,14 +19,37 @@ from typing import Any
 
 from spiral.physics.formulas import syntax
 from spiral.physics.formulas.definition import parse_sections, value_and_unit
+from spiral.physics.formulas.equations import equations_of
+from spiral.physics.formulas.function import dump_sections
 from spiral.physics.formulas.let import write_out
-from spiral.physics.formulas.rows import replace_primes, size_of
+from spiral.physics.formulas.rows import UnitSizeError, replace_primes, size_of
 from spiral.types.units import registry, short_form, spelled
 
 CONVERTED = "converted"
 _NUMBERS = ("value", "lower", "upper", "start")
 _LARGEST = 12  # a number of an equation up to this, or a quarter of it, is no conversion
 _FOUND = re.compile(r"constant_\d+")  # a number of a Python function, in the units of its author
+
+
+def text_in_units_that_fit(text: str) -> str:
+    """A definition's text, or the same in SI units where those that it has do not go together.
+
+    Raises
+    ------
+    ConfigError : what ``equations_of`` refuses, also in SI units, or where nothing is converted.
+    """
+    try:
+        equations_of(text)
+        return text
+    except UnitSizeError as error:
+        reason = error
+    for time_alone in (True, False):
+        sections = coherent_sections(text, time_alone)
+        with contextlib.suppress(UnitSizeError):
+            if sections is not None:
+                equations_of(converted := dump_sections(sections))
+                return converted
+    raise reason
 
 
 def coherent_sections(text: str, time_alone: bool) -> dict[str, Any] | None:

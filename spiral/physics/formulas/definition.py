@@ -377,7 +377,9 @@ def _parameter(name: str, given: Any, free: bool) -> Parameter:
         None if bounds.get(k) is None else _require_number(name, bounds[k])
         for k in ("lower", "upper")
     )
-    if value is not None and not (low is None or low <= value) & (high is None or value <= high):
+    if value is not None and not (
+        (low is None or low <= value) and (high is None or value <= high)
+    ):
         raise ConfigError(
             f"parameter {name!r} of {value:g} {unit}".rstrip(),
             f"a value within its bounds, lower {low} and upper {high}",
