@@ -11,7 +11,6 @@ from spiral_plugins.systems.planar_rotor import PlanarRotor
 from spiral.inference.advice import advice_for
 from spiral.inference.nearness import (
     is_near_noise,
-    may_noise_stand_in,
     noise_factor,
     shortfalls,
 )
@@ -162,17 +161,6 @@ def test_a_free_run_that_misses_half_of_all_motion_is_no_proof(error, moved, wor
     pushed = replace(GOOD, random={"force.observed": 0.1}, disturbed=moved, test_error=error,
                      unseen=unseen)  # fmt: skip
     assert verdict_sentence("nothing_missing", pushed, SETTINGS).startswith(words)
-
-
-def test_a_model_that_errs_by_all_the_motion_is_never_complete():
-    """White noise of 158 % of the motion explained a pendulum in degrees that was taken in rad."""
-    lost = replace(GOOD, fit_error=1.1, test_error=1.58, noise_floor=1.58, random={})
-    assert seed_verdict(Round(0, (), {}, {}, (), lost, 1.0), "whiteness", SETTINGS) == (
-        "unknown_structure"
-    )
-    assert any("misses 110 %" in said for said in shortfalls(lost, SETTINGS))
-    faint = replace(lost, fit_error=0.97)  # a little of the motion is told, the noise is the rest
-    assert not shortfalls(faint, SETTINGS)
 
 
 def test_a_noisy_sensor_hides_nothing():
@@ -494,14 +482,3 @@ def test_a_slow_flow_beside_a_model_without_forces_may_be_a_state_that_it_lacks(
         assert "a state that the model lacks" not in verdict_sentence(
             "unknown_structure", other, SETTINGS
         )
-
-
-def test_noise_may_stand_in_where_it_carries_the_free_run_or_is_mostly_not_white():
-    carried = replace(GOOD, test_error=0.06, random={"gust.hidden": 0.014})
-    assert may_noise_stand_in(carried, SETTINGS)
-    assert not may_noise_stand_in(replace(carried, whiteness_p=0.0), SETTINGS)
-    assert not may_noise_stand_in(replace(GOOD, random={"gust.hidden": 0.014}), SETTINGS)
-    assert not may_noise_stand_in(replace(carried, random={}), SETTINGS)
-    ringing = replace(GOOD, random={"vibration.x": 0.018}, whiteness_p=0.0)
-    assert may_noise_stand_in(ringing, SETTINGS)
-    assert not may_noise_stand_in(replace(GOOD, random={"vibration.x": 0.01}), SETTINGS)
