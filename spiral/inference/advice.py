@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from spiral.inference.disturbances import random_forces, what_acts
-from spiral.inference.nearness import is_free_run_telling_little, is_near_noise
+from spiral.inference.nearness import is_free_run_telling_little, is_moved_unseen, is_near_noise
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence
 from spiral.inference.verdict import noise_sentence
@@ -104,6 +104,11 @@ def random_force_caveat(last: Comparison, settings: Settings, named: str = "") -
     if not random_forces(last) or not last.disturbed > settings.smallest:
         return ""
     named = named or f"random {what_acts(last.model)}s"
+    if is_moved_unseen(last):
+        return (
+            f"{named[:1].upper()}{named[1:]} are all that moves the machine, since no input does; "
+            "a record with one that is measured (a shaker, a step, the wind) tells far more."
+        )
     much = "all" if last.disturbed >= 1.0 else percent(last.disturbed)
     return (
         f"{named[:1].upper()}{named[1:]} move a free run by {much} of the motion: if nothing "

@@ -129,7 +129,8 @@ def shortfalls(comparison: Comparison, settings: Settings) -> tuple[str, ...]:
         share = percent(min(comparison.whiteness_effect, 1.0))
         reasons.append(f"what is left is not white (its past predicts about {share} of it)")
     largest = max(random_forces(comparison).values(), default=0.0)
-    if largest > settings.random_limit and not _moves_little(comparison, settings):
+    alone = is_moved_unseen(comparison)
+    if largest > settings.random_limit and not alone and not _moves_little(comparison, settings):
         share, acting = percent(largest), what_acts(comparison.model)
         reasons.append(
             f"a random {acting} of {share} of the machine's own {acting}s would have to act beside "
@@ -207,7 +208,17 @@ def is_free_run_carried_away(comparison: Comparison) -> bool:
 
     As of a machine that only its controller stabilises: a free run judges no model there.
     """
-    return comparison.random is not None and not _random_spread(comparison) < 1.0
+    return comparison.random is not None and (
+        not _random_spread(comparison) < 1.0 or is_moved_unseen(comparison)
+    )
+
+
+def is_moved_unseen(comparison: Comparison) -> bool:
+    """Whether a random force is what moves the machine: no input does, and it makes the motion.
+
+    As of a bridge in the wind: how large such a force is speaks against no model.
+    """
+    return comparison.driven_unseen and comparison.disturbed > _HALF
 
 
 def is_free_run_telling_little(comparison: Comparison, settings: Settings) -> bool:
@@ -273,10 +284,13 @@ def leaves_less_than_noise(error: float, last: Comparison, settings: Settings) -
 def predicts_nothing(comparison: Comparison, settings: Settings) -> bool:
     """Whether a free run on unseen data errs by all the motion, and noise does not explain it.
 
-    Noise that would be most of what a sensor shows explains nothing.
+    Noise that would be most of what a sensor shows explains nothing, nor does any where a free run
+    of the fitted record errs as much.
     """
     return not comparison.test_error < 1.0 and (
-        is_drowned_in_noise(comparison, settings) or is_error_unexplained(comparison, settings)
+        is_drowned_in_noise(comparison, settings)
+        or is_error_unexplained(comparison, settings)
+        or explains_nothing(comparison)
     )
 
 
@@ -308,6 +322,8 @@ def unexplained_error_growth(
     closely than the constant that took its place.
     """
     judged = changes(before.unseen, after.unseen)
+    if is_moved_unseen(after):  # further ahead the force decides that is still to come
+        judged = tuple(c for c in judged if c.samples == 1)
     told = not is_error_unexplained(after, settings)
     shorter = {c.judged for c in judged if c.samples is not None}
     free = {c.judged for c in judged if c.samples is None}

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from spiral.inference.disturbances import (
     random_forces,
     random_sentence,
     record_sentence,
-    what_acts,
 )
 from spiral.inference.effect_words import name_effects
+from spiral.inference.figures_in_words import error_clause, figures_clause, growth_excuse
 from spiral.inference.identifiability.undetermined import (
     describe_held_parameters,
     describe_undetermined_parameters,
@@ -25,15 +23,14 @@ from spiral.inference.identifiability.undetermined import (
 )
 from spiral.inference.nearness import (
     evidence_chi2,
-    has_own_colour,
     is_error_unexplained,
     is_free_run_carried_away,
     is_free_run_telling_little,
+    is_moved_unseen,
     is_near_noise,
     is_residual_white,
     is_undecided,
     leaves_less_than_noise,
-    next_sample_error,
     noise_factor,
     predicts_nothing,
     shortfalls,
@@ -137,7 +134,8 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
     first, last = rounds[0].comparison, rounds[-1].comparison
     if len(rounds) < 2:
         return False
-    if min(max(random_forces(last).values(), default=0.0), last.disturbed) > _MOST_AT_RANDOM:
+    alone, largest = is_moved_unseen(last), max(random_forces(last).values(), default=0.0)
+    if min(largest, last.disturbed) > _MOST_AT_RANDOM and not alone:
         return True
     if is_free_run_carried_away(last):
         return False
@@ -227,8 +225,9 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
         if untold:
             words = UNTOLD
         elif random_forces(comparison) and comparison.disturbed > comparison.noise_floor:
-            words = "Nothing is missing but what acts at random"
-        return f"{words}: {_figures_clause(comparison, settings)}.{' ' + random if random else ''}"
+            unseen = "moves it, which no input tells" if is_moved_unseen(comparison) else ""
+            words = f"Nothing is missing but what {unseen or 'acts at random'}"
+        return f"{words}: {figures_clause(comparison, settings)}.{' ' + random if random else ''}"
     if (
         len(reasons) == 1
         and not comparison.test_error <= comparison.fit_error
@@ -262,30 +261,6 @@ def _explains_fitted(comparison: Comparison, settings: Settings) -> bool:
         and not comparison.contradictions
         and evidence_chi2(comparison) <= settings.chi2_limit
         and is_residual_white(comparison, settings)
-    )
-
-
-def _figures_clause(comparison: Comparison, settings: Settings) -> str:
-    floor = percent(comparison.floor)
-    error = f"the test error is {percent(comparison.test_error)} (noise floor {floor})"
-    if (
-        is_free_run_carried_away(comparison)
-        and (ahead := next_sample_error(comparison)) is not None
-    ):
-        error = (
-            f"one sample ahead the error on unseen data is {percent(ahead)} (noise floor {floor}); "
-            f"a free run is no test here: random {what_acts(comparison.model)}s or uncertain "
-            "values move it too far"
-        )
-    if comparison.random is not None:
-        kind = "white noise" if comparison.whiteness_p >= settings.whiteness_level else "noise"
-        if has_own_colour(comparison, settings):
-            share = percent(comparison.whiteness_effect)
-            kind += f" (its own past predicts about {share} of it, motion and inputs do not)"
-        return f"what is left is {kind}, and {error}"
-    return (
-        f"chi2 per degree of freedom is {number(evidence_chi2(comparison), 3)}, what is left is "
-        f"white, and {error}"
     )
 
 
@@ -355,14 +330,14 @@ def interrupted_summary(rounds: Sequence[Round], settings: Settings) -> str:
 def _change_sentence(rounds: Sequence[Round], admitted: tuple[str, ...], settings: Settings) -> str:
     """What the admitted effects did to the error on unseen data."""
     first, last = rounds[0].comparison, rounds[-1].comparison
-    change = _error_clause(first, last)
+    change = error_clause(first, last)
     them = "it" if len(admitted) == 1 else "them"
     if _has_error_grown(rounds, settings):
         return (
             f"The model now contains {', '.join(admitted)}, but on data that no fit has seen the "
             f"error grew: {change}. Do not take {them} for what is missing."
         )
-    change += _growth_excuse(first, last)
+    change += growth_excuse(first, last)
     if predicts_nothing(last, settings):
         return (
             f"The model now contains {', '.join(admitted)}, and predicts nothing of data that no "
@@ -397,12 +372,12 @@ def _missing_sentence(
     before, small = _smaller_than_noise(rounds, named, settings)
     main = tuple(x for x in named if x not in small)
     if main and small:
-        change = _error_clause(rounds[0].comparison, before)
+        change = error_clause(rounds[0].comparison, before)
     was, least_t = "was" if len(main or named) == 1 else "were", settings.least_t
     said = f"Missing {was} {name_effects(rounds, main or named, least_t)}: {change}."
     if main and small:
         names = name_effects(rounds, small, least_t)
-        change = _error_clause(before, rounds[-1].comparison)
+        change = error_clause(before, rounds[-1].comparison)
         said += f" Missing too, and smaller than the noise: {names}; {change}."
     elif small:
         said += " What that does is smaller than the noise."
@@ -425,33 +400,6 @@ def _smaller_than_noise(
     for r in rounds[k + 1 :]:
         early |= set(r.admitted) if early & set(r.retired) else set()
     return rounds[k].comparison, tuple(x for x in named if x not in early)
-
-
-def _error_clause(first: Comparison, last: Comparison) -> str:
-    """The error on unseen data before and after: of free runs, or else one sample ahead."""
-    before, after = next_sample_error(first), next_sample_error(last)
-    floor = percent(last.floor)
-    if is_free_run_carried_away(last) and before is not None and after is not None:
-        return (
-            f"error one sample ahead {percent(before)} -> {percent(after)} (noise floor {floor}; "
-            f"random {what_acts(last.model)}s or uncertain values move a free run too far)"
-        )
-    now = f"{percent(last.test_error)} (noise floor {floor})"
-    if not np.isfinite(first.test_error):
-        return f"the free run ran away before, and is off by {now} on the test record now"
-    return f"test error {percent(first.test_error)} -> {now}"
-
-
-def _growth_excuse(first: Comparison, last: Comparison) -> str:
-    """Why a larger free-run error does not count against the effects; empty where it fell."""
-    before, after = next_sample_error(first), next_sample_error(last)
-    grown = last.test_error > first.test_error and not is_free_run_carried_away(last)
-    if not grown or before is None or after is None:
-        return ""
-    return (
-        f", which noise and random {what_acts(last.model)}s explain in a free run; one sample "
-        f"ahead {percent(before)} -> {percent(after)}"
-    )
 
 
 def _curve_summary(rounds: Sequence[Round], admitted: tuple[str, ...]) -> str:
@@ -479,7 +427,7 @@ def seed_sentence(verdict: Verdict, rounds: Sequence[Round], settings: Settings)
     """The verdict in words on a model to which nothing was added."""
     seed, held = rounds[-1].comparison, describe_held_parameters(rounds[0].details)
     if held and verdict == "not_identifiable":
-        return f"{held} Beside that, nothing is missing: {_figures_clause(seed, settings)}."
+        return f"{held} Beside that, nothing is missing: {figures_clause(seed, settings)}."
     about = verdict_sentence(verdict, seed, settings)
     return " ".join(filter(None, (about, memory_sentence(rounds), held)))
 

@@ -148,9 +148,11 @@ def convert(value: Any, hint: Any, where: str, resolve: Resolve | None = None) -
     if origin is tuple:
         return _convert_tuple(value, arguments, where, resolve)
     if origin is Mapping:
+        of = arguments[1] if len(arguments) > 1 else Any
+        if of is str and isinstance(value, list | tuple) and all(isinstance(n, str) for n in value):
+            value = {name: name for name in value}  # a list of names: each is called as it is
         if not isinstance(value, Mapping):
             raise _wrong_value_error(where, value, "a mapping", f"{where}='{{name: value}}'")
-        of = arguments[1] if len(arguments) > 1 else Any
         return {str(k): convert(v, of, f"{where}.{k}", resolve) for k, v in value.items()}
     if isinstance(hint, type) and issubclass(hint, Plugin):
         if isinstance(value, hint) or resolve is None:

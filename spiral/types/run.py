@@ -89,6 +89,7 @@ class Comparison(Readable):
     disturbed : error of the test's free run to be expected from random forces.
     uncertain : the same from the uncertainty of parameters and initial state.
     drifting : the same from sensors that drift, or whose noise lasts long.
+    driven_unseen : whether what moves the fitted records is in none of their inputs.
     followed : share of the sensors' noise that motion and inputs explain of a coloured residual.
     between : how inputs are interpolated.
     traces : the time series behind it; not saved.
@@ -116,6 +117,7 @@ class Comparison(Readable):
     disturbed: float = 0.0
     uncertain: float = 0.0
     drifting: float = 0.0
+    driven_unseen: bool = False
     followed: float | None = None
     between: Mapping[str, Interpolation] = field(default_factory=dict)
     traces: Traces | None = field(default=None, compare=False, repr=False)
@@ -157,6 +159,7 @@ class Comparison(Readable):
             "disturbed": self.disturbed,
             "uncertain": self.uncertain,
             "drifting": self.drifting,
+            "driven_unseen": self.driven_unseen,
             "followed": self.followed,
             "between": dict(self.between),
             "channels": {k: v.as_dict() for k, v in self.channels.items()},

@@ -72,6 +72,13 @@ def test_a_configuration_is_the_callers_own():
     assert composed(*ROTOR)["record"]["seed"] == 11
 
 
+def test_a_list_of_columns_names_each_as_it_is():
+    fields = {"path": "a.csv", "inputs": ["force"]}
+    assert REGISTRY.make("source", "csv", fields).inputs == {"force": "force"}
+    with pytest.raises(ConfigError, match="a mapping"):
+        REGISTRY.make("source", "csv", {**fields, "inputs": 3})
+
+
 def test_a_problem_is_built_with_records_test_and_candidates():
     problem = build_problem(composed(*ROTOR, "settings.max_rounds=2"), REGISTRY)
     assert problem.model.labels == ("linear_stiffness", "linear_damping", "unbalance")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from spiral_plugins.systems.oscillator import Oscillator
 
-from spiral.inference.nearness import may_noise_stand_in, shortfalls
+from spiral.inference.nearness import may_noise_stand_in, predicts_nothing, shortfalls
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import seed_verdict
 from spiral.types.model import seed_model
@@ -21,8 +21,10 @@ def test_a_model_that_errs_by_all_the_motion_is_never_complete():
         "unknown_structure"
     )
     assert any("misses 110 %" in said for said in shortfalls(lost, SETTINGS))
+    assert predicts_nothing(lost, SETTINGS)
     faint = replace(lost, fit_error=0.97)  # a little of the motion is told, the noise is the rest
     assert not shortfalls(faint, SETTINGS)
+    assert not predicts_nothing(faint, SETTINGS)
 
 
 def test_noise_may_stand_in_where_it_carries_the_free_run_or_is_mostly_not_white():

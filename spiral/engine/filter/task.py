@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from spiral.engine.filter.prior import Prior
+from spiral.engine.filter.response import response_scales
 from spiral.engine.filter.shifts import common_shifts
 from spiral.engine.filter.static import StaticMap, static_map
 from spiral.engine.kernel import trajectories
@@ -40,6 +41,8 @@ _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
 _LOUD = 10.0  # times the measured deviation beyond which a free run has gone astray
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
 _ROUNDING = 1e-12  # share of a mean under which a deviation is none
+_LASTING = 1 / 3  # of a motion, which every quarter of the record has that goes on
+_WINDOWS, _LOST = (41, 21, 11, 5), 2.0  # of local cubics; noise levels that one may smooth away
 _STILL = 0.3  # share of its value by which a state that stands still may be off
 
 
@@ -94,6 +97,20 @@ class FilterInput:
         if self.inputs is self.series.inputs:
             return self.series.mean_inputs
         return self.inputs.mean(axis=0) if self.inputs.size else np.zeros(self.inputs.shape[1])
+
+    @cached_property
+    def is_driven_unseen(self) -> bool:
+        """Whether no input of the model varies and readings go on moving: what does it is unseen.
+
+        They go on where each moves in every quarter of the record by a third of what it does in
+        all: what only decays, or grows from where it began, does not.
+        """
+        followed = set().union(*(rate.free_symbols for rate in self.compiled.traced.rate))
+        columns = enumerate(self.compiled.traced.u)
+        varied = self.series.inputs[:, [j for j, u in columns if u in followed]]
+        least = _LASTING * self.series.deviations
+        lasting = all(np.all(y.std(axis=0) >= least) for y in np.array_split(self.series.y, 4))
+        return lasting and not np.any(np.ptp(varied, axis=0) > 0)
 
     @cached_property
     def disturbed(self) -> dict[bytes, Array]:
@@ -193,8 +210,10 @@ def build_task(
         centre, scales, rates = (np.zeros(len(names)) for _ in range(3))
         tied = _adopt_ties(compiled, values, grid, like)
     else:
-        states, astray = _settled_states(compiled, series, grid, values, mapping)
+        states, astray, guessed = _settled_states(compiled, series, grid, values, mapping)
         centre, scales, rates = motion_scales(states, series.dt)
+        if guessed and (response := response_scales(compiled, values, series)) is not None:
+            scales, rates = response
         shifts = common_shifts(compiled, values, grid.mean(axis=0), scales)
         tied = shifts.tied_deviations(states) if shifts.anchors else None
     begin = _first_state(compiled, series, mapping) if start is None else np.array(start, float)
@@ -270,8 +289,10 @@ def _adopt_ties(
 
 def _settled_states(
     compiled: CompiledModel, series: Series, grid: Array, values: Array, mapping: StaticMap | None
-) -> tuple[Array, bool]:
-    """States (samples, n) of the free run, or of the smoothed measurements; whether it is astray.
+) -> tuple[Array, bool, bool]:
+    """States (samples, n) of a free run; whether it is astray; whether they are guessed instead.
+
+    Guessed are those of the smoothed measurements, where no free run tells.
 
     A machine that falls out of step, begun from rest, runs on by itself: its readings move
     ``_LOUD`` times as much as measured, and its states tell no scale. Of one that rests for ever (a
@@ -288,12 +309,12 @@ def _settled_states(
             run = begun
     shown = list(compiled.traced.shown.values())
     if run is not None and not np.any(run[1].std(axis=0)[shown] < _QUIET * measured[shown]):
-        return run[0], _is_loud(run[1], measured)
+        return run[0], _is_loud(run[1], measured), False
     states = _guess_states(compiled, series, mapping)
     still = states.std(axis=0) <= _ROUNDING * np.abs(states.mean(axis=0))
     if begun is not None and not _is_loud(begun[1], measured):
         states[:, still] = begun[0][:, still]
-    return states, False
+    return states, False, True
 
 
 def _is_nearer(
@@ -367,7 +388,7 @@ def _run_with_readings(
 def _guess_states(compiled: CompiledModel, series: Series, mapping: StaticMap | None) -> Array:
     """Smoothed measurements and their rates; hidden coordinates by the static map."""
     study = CompiledStudy(compiled, (series,))
-    states = smoothed_motion(study, series, min(41, series.samples // 2 * 2 - 1)).states
+    states = smoothed_motion(study, series, _smoothing_window(series)).states
     names = compiled.traced.states
     if mapping is not None:
         for place in (str, compiled.traced.rate_name):  # the coordinates, then their rates
@@ -376,6 +397,16 @@ def _guess_states(compiled: CompiledModel, series: Series, mapping: StaticMap | 
             for j, name in enumerate(mapping.hidden):
                 states[:, names.index(place(name))] = hidden_values[:, j]
     return states
+
+
+def _smoothing_window(series: Series) -> int:
+    """The longest window (samples) that smooths away no more than the sensors' noise."""
+    longest = series.samples // 2 * 2 - 1
+    for window in (w for w in _WINDOWS if w <= longest):
+        lost = (series.y - series.smooth_readings(window)[0]).std(axis=0)
+        if np.all(lost <= _LOST * series.sigma):
+            return window
+    return min(_WINDOWS[-1], longest)
 
 
 def _first_state(compiled: CompiledModel, series: Series, mapping: StaticMap | None) -> Array:

@@ -46,6 +46,7 @@ EXTRA: tuple[Kind, ...] = (*COLOURED, "drift", *CORRELATED)
 _LEAST, _MOST = 1e-6, 10.0  # sizes over the deviation of their channel, or as a level
 LEAST_FORCE = 1e-5  # least level of a force
 OWN = 1.0  # its largest: beside a random force above the machine's own no term can be identified
+_UNSEEN = 10.0  # the same where nothing else moves the machine (a store alone: the root of two)
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8
 """Highest order of the low-pass of a ``band``, and most poles of a ``swell``."""
@@ -161,7 +162,7 @@ def size_limits(task: FilterInput, name: str) -> tuple[float, float]:
     if where == "damping":
         return _RINGING, _DEAD if kind == "vibration" else _BROAD
     if kind in FORCES:
-        return LEAST_FORCE, OWN
+        return LEAST_FORCE, _UNSEEN if task.is_driven_unseen else OWN
     channels = task.compiled.traced.channels
     spread = float(task.series.deviations[channels.index(where)]) or 1.0
     if kind == "drift":

@@ -50,7 +50,7 @@ from spiral.inference.likelihood.noise_selection import select_noise_model
 from spiral.inference.likelihood.scores import rank_candidates
 from spiral.inference.likelihood.seed_fit import far_from_given, sensor_noise_only
 from spiral.inference.problem import Progress
-from spiral.types.noise import COLOURED
+from spiral.types.noise import COLOURED, CORRELATED
 
 _BEHIND = 2.0  # factor from the given value beyond which a fitted one is far from it
 _LASTING = 0.5  # share of the longest correlation time from which noise is as good as constant
@@ -84,7 +84,7 @@ def rivals_beside_less_noise(
         start = fit_by_likelihood(assembly, base.state, less, masks, WARM, True)
         white = _rivals_from_fit(assembly, base, start, masks, past=True)
         rivals += [_with_base_noise_terms(base, r, masks) for r in white]
-        if white and _has_slow_sensor_noise(base):
+        if white and _has_slow_noise(base):
             best = _most_beside_past(start, white, masks)
             rivals.append(_refit_rival_noise(base, best, masks, progress))
     if not is_random_force_small(base):
@@ -96,10 +96,10 @@ def rivals_beside_less_noise(
     return rivals
 
 
-def _has_slow_sensor_noise(fit: LikelihoodFit) -> bool:
-    """Whether noise of a sensor is nearly constant over the record, as an offset is."""
+def _has_slow_noise(fit: LikelihoodFit) -> bool:
+    """Whether noise of a sensor, or a random force, is nearly constant over the record."""
     noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
-    times = {t.time for t in noise.terms if t.kind in COLOURED}
+    times = {t.time for t in noise.terms if t.kind in (*COLOURED, *CORRELATED)}
     lasting = any(noise.values[n] >= _LASTING * size_limits(task, n)[1] for n in times)
     return lasting or noise.has_kind("drift")
 

@@ -133,6 +133,7 @@ def _noise_fields(
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
+        "driven_unseen": all(task.is_driven_unseen for task, _ in fit.estimate.prepared),
         "drifting": reported.error_in_free_run(run),
         "departures": (
             *describe_departures(model, fit.estimate, white, sizes),

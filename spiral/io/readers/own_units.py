@@ -62,8 +62,8 @@ def unit_doubts(
         }
         for other in (u for u, is_likely in likely.items() if is_likely):
             doubts[name] = (
-                f"{name} runs from {low:.3g} to {high:.3g} {unit}, and nobody said that it is in "
-                f"{unit}: if it is in {other}, record.units='{{{name}: {other}}}'"
+                f"values of {name} run from {low:.3g} to {high:.3g} {unit}, and nobody said that "
+                f"they are in {unit}: if they are in {other}, record.units='{{{name}: {other}}}'"
             )
     return doubts
 

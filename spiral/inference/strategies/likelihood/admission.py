@@ -140,10 +140,11 @@ def race_offered(
 def first_to_pass(
     options: LikelihoodOptions, assembly: Assembly, base: LikelihoodFit, race: Race, judge: Masks,
     level: float, objection: Objection, progress: Progress, least: float = 0.0,
-    before: RaceOutcome = NOTHING_TRIED,
+    before: RaceOutcome = NOTHING_TRIED, confirmed: bool = True,
 ) -> RaceOutcome:  # fmt: skip
     """The first winner worth more than ``least`` that the judging blocks confirm, unopposed.
 
+    ``confirmed`` : whether these blocks are asked, where the objection alone is not enough.
     ``before`` : another race of the same candidates; what was rejected there at the same maximum is
         not asked again, and is told as well.
     """
@@ -154,7 +155,10 @@ def first_to_pass(
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     unasked = _unasked(_meaningful(race, rejected), before, rejected, worths)
     for rival, rivals in itertools.islice(unasked, options.judged):
-        if reason := _unconfirmed_reason(base, ours, rival, race.tolerances, judge, level, least):
+        reason = _unlikely_reason(rival, race.tolerances, least)
+        if confirmed:
+            reason = reason or _unconfirmed_reason(base, ours, rival, judge, level)
+        if reason:
             rejected[rival.label] = reason
             continue
         if twin := untold_twin(base, rival, race.masks):
@@ -284,17 +288,19 @@ def _search_noise(
     return restart_vanished_noise(assembly, fit)
 
 
-def _unconfirmed_reason(
-    base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, known: Tolerances,
-    judge: Masks, level: float, least: float,
-) -> str:  # fmt: skip
-    """Why a candidate is not confirmed on the judging blocks; empty where it is."""
+def _unlikely_reason(rival: Rival, known: Tolerances, least: float) -> str:
+    """Why a candidate is not likely enough on the blocks that select; empty where it is."""
     if not rival.worth > 0:
         return "refitted, its gain in likelihood does not pay for its additional parameters"
     if not rival.worth > least:
         return "refitted, it is not likelier than what it would replace"
-    if reason := _within_tolerances(rival, known):
-        return reason
+    return _within_tolerances(rival, known)
+
+
+def _unconfirmed_reason(
+    base: LikelihoodFit, ours: Callable[[], JudgingFits], rival: Rival, judge: Masks, level: float
+) -> str:
+    """Why a candidate is not confirmed on the judging blocks; empty where it is."""
     judgement = judge_winner(base, ours(), rival, judge)
     if not judgement.passes(level):
         return (

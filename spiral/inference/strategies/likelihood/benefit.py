@@ -10,6 +10,7 @@ from spiral.inference.disturbances import random_forces, what_acts
 from spiral.inference.nearness import (
     is_drowned_in_noise,
     is_free_run_carried_away,
+    is_moved_unseen,
     is_residual_white,
     leaves_less_than_noise,
     takes_little,
@@ -53,10 +54,11 @@ def refuse_unhelpful(
     the free run of the fitted records where there are no others. A free run that random forces move
     by more than noise does is no witness. Where the error has less than the noise left to fall, the
     effect must also change what is predicted of a reading by ``smallest_share`` of its motion:
-    below that many effects do as well, and a name means little.
+    below that many effects do as well, and a name means little. What an unseen force moves errs by
+    that force, whatever is missing: there likelihood alone tells.
     """
     forces = max(random_forces(after).values(), default=0.0)
-    if forces >= _BOUND * options.random_limit:
+    if forces >= _BOUND * options.random_limit and not is_moved_unseen(after):
         acting = what_acts(after.model)
         return Refusal(
             f"with it, too, a random {acting} as large as the machine's own would have to act: "
@@ -71,6 +73,8 @@ def refuse_unhelpful(
     if (worse := unexplained_error_growth(before, after, settings)) is not None:
         said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
         return Refusal(f"the error on unseen data grows ({said})", alone=True, grows=True)
+    if is_moved_unseen(after):
+        return None
     told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]

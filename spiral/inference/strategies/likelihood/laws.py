@@ -40,7 +40,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.noise_selection import select_noise_model
 from spiral.inference.likelihood.tolerances import Tolerances
-from spiral.inference.nearness import is_moved_at_random, is_near_noise
+from spiral.inference.nearness import is_moved_at_random, is_moved_unseen, is_near_noise
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.accepted import (
@@ -108,6 +108,7 @@ def find_named_law(
     aided = bool(gone and comparison.random)  # a force at random makes up for a wrong form
     several = len(gone) >= _SEVERAL and not _has_coupling_force(assembly, gone)
     moved = is_moved_at_random(comparison, assembly.problem.settings)
+    moved = moved and not is_moved_unseen(comparison)
     unsure = undetermined_among(assembly, gone, comparison)
     much = is_much_random(comparison)
     if (white and not (several or aided or moved or unsure or much)) or not options.laws:
@@ -127,8 +128,12 @@ def find_named_law(
 
 
 def is_much_random(comparison: Comparison) -> bool:
-    """Whether much acts at random, or is a sensor's noise with a colour: a law may hide there."""
-    return max((comparison.random or {}).values(), default=0.0) > LITTLE
+    """Whether much acts at random, or is a sensor's noise with a colour: a law may hide there.
+
+    What moves a machine that nothing else does hides none.
+    """
+    most = max((comparison.random or {}).values(), default=0.0)
+    return most > LITTLE and not is_moved_unseen(comparison)
 
 
 def stand_in_labels(assembly: Assembly, base: LikelihoodFit) -> tuple[str, ...]:
@@ -216,12 +221,12 @@ def _find_law_from(
         return None
     gone = tuple(assembly.variant(x).original.label for x in start.gone)
     refitted, effect = passed.whole.refitted, passed.rival.ranked.variant.original
-    if effect.label in gone:  # it stands for itself
-        return None
     known = _find_equal_candidate(options, assembly, start, passed, masks, progress)
     if known is not None:
         passed = replace(known, aliases=(effect.label, *passed.aliases))
         refitted, effect = known.whole.refitted, known.rival.ranked.variant.original
+    if effect.label in gone:  # it is what the law was to replace
+        return None
     gone = tuple(x for x in gone if x != effect.label)
     refitted = replace(refitted, retired=(*refitted.retired, *gone))
     return NamedLaw(effect, passed.aliases, ranked, race.tried, refitted)

@@ -49,6 +49,10 @@ from spiral.inference.strategies.likelihood.admission import (
     first_to_pass,
 )
 from spiral.inference.strategies.likelihood.changes import PromisingChanges
+from spiral.inference.strategies.likelihood.explaining import (
+    first_to_explain_all,
+    stands_in_for_all,
+)
 from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.run import Comparison
@@ -168,16 +172,37 @@ def race_and_test(
     if not passed and outcome.likely is not None:
         passed = _find_second_effect(asked, outcome.likely, assembly.excerpt is not None)
     if not passed:
-        race = race.with_only_rivals(quiet())
-        outcome = first_to_pass(
-            options, assembly, base, race, masks[1], level, helps, progress, before=outcome
-        )
-        passed, tried = outcome.admitted, (*tried, *race.tried)
+        contest = replace(contest, scored=ScoredRound(ranked, tried), outcome=outcome)
+        outcome, tried = _ask_further(asked, assembly, state, contest, race, quiet())
+        passed = outcome.admitted
     if len(passed) == 1:
         passed = (prefer_special_case(options, passed[0], progress),)
     scored = ScoredRound(ranked, tried)
     contest = replace(contest, scored=scored, outcome=outcome, passed=passed)
     return _with_leading_change(asked, assembly, contest, raced)
+
+
+def _ask_further(
+    asked: RoundInput, assembly: Assembly, state: FitState, contest: TestedCandidates, race: Race,
+    quiet: list[Rival],
+) -> tuple[RaceOutcome, tuple[Rival, ...]]:  # fmt: skip
+    """What comes of the ``quiet`` rivals, then of any that explain all; and all that were tried.
+
+    ``contest`` : the candidates of ``race``, of which none passed.
+    """
+    base, level, judge = contest.base, asked.level(), contest.masks[1]
+    race = race.with_only_rivals(quiet)
+    outcome = first_to_pass(
+        asked.options, assembly, base, race, judge, level, asked.helps(), asked.progress,
+        before=contest.outcome,
+    )  # fmt: skip
+    tried = (*contest.scored.rivals, *race.tried)
+    if outcome.passed or not stands_in_for_all(asked.comparison, assembly.problem.settings):
+        return outcome, tried
+    return first_to_explain_all(
+        asked.options, assembly, state, base, contest.scored.ranking, race.with_only_rivals(tried),
+        outcome, asked.comparison, level, asked.progress,
+    )  # fmt: skip
 
 
 Raced = tuple[TestedCandidates, ...] | None
