@@ -236,6 +236,25 @@ class RadiationLoss(StateFlow):
         return [-p.rate * ((p.zero + x) ** 4 - p.room**4)]
 
 
+class RadiationExchange(StateFlow):
+    """Heat radiated to what has a temperature of its own: x' = ... - r ((z + x)^4 - (z + y)^4).
+
+    y is an input or another state: a collector under a measured sky, an ingot in its furnace. r and
+    z as of a ``radiation_loss``, to which it comes where y hardly changes.
+    """
+
+    differences = "only"
+    parameters = (
+        Parameter("rate", "force/K^4", lower=0.0),
+        Parameter("zero", "K", role="shape", grid=(0.0, 293.15)),
+    )
+
+    def flow(self, at, u, p):
+        """-r ((z + x)^4 - (z + y)^4)."""
+        there = p.zero + at.outside
+        return [-p.rate * ((there + at.position[0]) ** 4 - there**4)]
+
+
 class Exchange(StateFlow):
     """Two states that even out: x_1' = ... - c_1 (x_1 - x_2), x_2' = ... - c_2 (x_2 - x_1).
 

@@ -52,7 +52,8 @@ class Series:
 
     ``y`` (samples, channels), ``sigma`` (channels,), ``inputs`` as of ``stage_inputs``, ``dt`` in
     s. ``seen`` (samples, channels) is False where a reading is no measurement (``y`` is bridged
-    there), or nothing where all are; ``growth`` by channel is (centre, height, mean) of a noise
+    there), or nothing where all are; ``loudness`` by channel is the variance of this record's noise
+    over that of all; ``growth`` by channel is (centre, height, mean) of a noise
     variance that grows with the reading (``grown``).
     """
 
@@ -65,6 +66,7 @@ class Series:
     splines: Splines
     seen: Array | None = None
     growth: tuple[tuple[float, float, float] | None, ...] = ()
+    loudness: tuple[float, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -113,14 +115,17 @@ class Series:
 
     @cached_property
     def grown(self) -> Array | None:
-        """(samples, channels) factors (1 + ((y - c) / h)^2) / m of the noise variance."""
-        if not any(self.growth):
+        """(samples, channels) factors of the noise variance: loudness (1 + ((y - c) / h)^2) / m."""
+        if not any(self.growth) and set(self.loudness) <= {1.0}:
             return None
-        shares, smooth = np.ones_like(self.y), self.smooth_readings(min(_SMOOTH, self.samples))[0]
+        shares = np.ones_like(self.y) * (self.loudness or 1.0)
+        if not any(self.growth):
+            return shares
+        smooth = self.smooth_readings(min(_SMOOTH, self.samples))[0]
         for j, growth in enumerate(self.growth):
             if growth is not None:
                 centre, height, mean = growth
-                shares[:, j] = (1 + ((smooth[:, j] - centre) / height) ** 2) / mean
+                shares[:, j] *= (1 + ((smooth[:, j] - centre) / height) ** 2) / mean
         return shares
 
     def weight(self, mask: Array | None) -> Array:
@@ -169,6 +174,7 @@ def _build_series(system: System, record: Record, substeps: int, knot: float) ->
         splines=correction_splines(record, substeps, knot if wanted else 0.0),
         seen=measured_mask(record, system.observed),
         growth=tuple(record.growth.get(c) for c in system.observed),
+        loudness=tuple(record.loudness.get(c, 1.0) for c in system.observed),
     )
 
 

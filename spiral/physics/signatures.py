@@ -305,7 +305,10 @@ def _injected_values(
     if isinstance(effect, StateFlow):
         places = [_state_index(system, name) for name in port.axes if effect.rated]
         velocity = tuple(along.rates[:, place] for place in places)
-        at = At(tuple(_flow_position(along, effect, port).T), velocity, own)
+        counted = port.against and not effect.driver
+        outside = followed_variable(along, port) if counted else 0.0
+        position = tuple(_flow_position(along, effect, port).T)
+        at = At(position, velocity, own, outside=outside)
         into = call_equation(effect, "flow", effect.flow, at, u, p)
         injected[:, [names.index(name) for name in port.axes]] = _stack_columns(into, count)
         return injected

@@ -249,17 +249,17 @@ def _place_effect(
     jacobian = None
     position: tuple[Any, ...] = ()
     velocity: tuple[Any, ...] = ()
+    known: Any = {**inputs, **states}
+    outside = known.get(port.against, 0)
     if isinstance(effect, SensorEffect) and not effect.driver:
         pass  # what it sees follows from the rates
     elif isinstance(effect, InputEffect):
         position = tuple(inputs[name] for name in port.axes)
     elif isinstance(effect, ParameterEffect) or getattr(effect, "driver", ""):
-        name, known = port.against, {**inputs, **states}
-        if name and name not in known:
+        if port.against and port.against not in known:
             known = system.auxiliary(x, SimpleNamespace(**inputs), p)
-        position = (known[name],) if name else ()
+        position = (known[port.against],) if port.against else ()
     elif isinstance(effect, StateFlow):
-        outside = {**inputs, **states}[port.against] if port.against else 0
         position = tuple(getattr(x, name) - outside for name in port.axes)
     elif has_coordinates(system):
         q, v = system.split(x)
@@ -273,7 +273,7 @@ def _place_effect(
         suffixes = axis_suffixes(state.per_axis, port)
         axes = tuple(states[f"{effect.label}.{state.name}{s}"] for s in suffixes)
         setattr(own, state.name, axes if state.per_axis else axes[0])
-    at = At(position, velocity, own)
+    at = At(position, velocity, own, outside=outside)
     return _PlacedEffect(effect, port, at, values_for(effect, port.axes, symbols), jacobian)
 
 

@@ -148,9 +148,10 @@ class StateFlow(Effect):
     for one state, 2 for a pair; ``units`` are those of the states that it is about, empty for any.
     One of ``differences`` also acts on what a state has more than an input of its unit, or than a
     state with which a third one balances it, at ``NAME-OTHER``: a loss to surroundings that were
-    measured, the drag of what flows into a tank. One whose ``driver`` is an ``"input"`` (or a
-    ``"state"`` of another unit) acts where the system gives that no path: its port is what it acts
-    on, a coordinate too, and its driver, ``NAME-INPUT``; ``position`` is the driver and its unit.
+    measured, the drag of what flows into a tank; ``"only"`` there. One whose ``driver`` is an
+    ``"input"`` (or a ``"state"`` of another unit) acts where the system gives that no path: its
+    port is what it acts on, a coordinate too, and its driver, ``NAME-INPUT``; ``position`` is the
+    driver and its unit.
     One that is ``rated`` sees as ``at.velocity`` the rates that the system and its seed give the
     states of its port.
     """
@@ -158,7 +159,7 @@ class StateFlow(Effect):
     axes: ClassVar[int | None] = 1
     rated: ClassVar[bool] = False
     units: ClassVar[tuple[str, ...]] = ()
-    differences: ClassVar[bool] = False
+    differences: ClassVar[bool | Literal["only"]] = False
     driver: ClassVar[Literal["", "input", "state"]] = ""
 
     @abstractmethod

@@ -47,13 +47,15 @@ class At:
 
     A sensor sees its channels and their rates. ``acceleration`` is the rate of these rates, zero
     for a channel whose rate is no state of the system (it would need the inputs' rates), and empty
-    where an effect is asked for its leading order alone.
+    where an effect is asked for its leading order alone. ``outside`` is what the ``position`` of a
+    flow counts from, where it does.
     """
 
     position: tuple[Any, ...]
     velocity: tuple[Any, ...]
     own: SimpleNamespace
     acceleration: tuple[Any, ...] = ()
+    outside: Any = 0.0
 
 
 def place_name(port: Port) -> str:

@@ -46,6 +46,7 @@ class Record:
     hold : how an input runs between its samples, by name, where not as its system says.
     growth : channel -> (c, h, m) where its noise grows with the reading y: its variance is
         (1 + ((y - c) / h)^2) / m times that of the others.
+    loudness : channel -> variance of its white noise over the mean of a study's fitted records.
     doubts : questions to who gave the record, by what they ask after (a series of which nobody said
         the unit, and which is unlikely in the system's).
     """
@@ -61,6 +62,7 @@ class Record:
     spoilt: Mapping[str, tuple[InvalidReadings, ...]] = field(default_factory=dict)
     hold: Mapping[str, Interpolation] = field(default_factory=dict)
     growth: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    loudness: Mapping[str, float] = field(default_factory=dict)
     doubts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

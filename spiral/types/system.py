@@ -299,7 +299,8 @@ class System(Plugin):
         return tuple(
             port
             for port in self.filled
-            if len(port.axes) == effect.axes and (effect.differences or not port.against)
+            if len(port.axes) == effect.axes
+            and (effect.differences if port.against else effect.differences != "only")
         )
 
     @property

@@ -1,11 +1,15 @@
 """Losses to surroundings that an input has: a room that loses heat to the outdoors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import sympy as sp
 from scipy.integrate import solve_ivp
 
 import spiral
 from spiral.io.registry import load_registry
+from spiral.physics.trace import trace
 from spiral.types.errors import ConfigError
 from spiral.types.placement import at_every_place
 from spiral.types.port import place_name
@@ -84,3 +88,46 @@ def test_without_a_draught_nothing_is_missing():
     run = spiral.discover(measured(0.0, seed=2), room(), holdout=0.3)
     assert run.missing == ()
     assert run.verdict == "nothing_missing"
+
+
+def collector():
+    return spiral.system(
+        ["C*T' = A*G - U*(T - Ta)"], states={"T": "K"}, inputs={"G": "W/m^2", "Ta": "K"},
+        parameters={"C": "60 kJ/K", "A": "4 m^2", "U": "9 W/K"}, free=["A", "U"], observed=["T"],
+    )  # fmt: skip
+
+
+def test_radiation_counts_from_a_measured_temperature_alone():
+    """-r (T^4 - Ta^4) beside what is there already, only where there are two temperatures."""
+    effect = REGISTRY.make("effect", "radiation_exchange")
+    assert [e.port for e in at_every_place(collector(), effect)] == ["T-Ta"]
+    bare, with_it = (trace(collector(), e) for e in ((), (replace(effect, port="T-Ta"),)))
+    (x,), u, p = with_it.x, dict(zip(with_it.inputs, with_it.u, strict=True)), with_it.p
+    known = dict(zip(with_it.keys, p, strict=True))
+    rate, zero = (known[f"radiation_exchange@T-Ta.{n}"] for n in ("rate", "zero"))
+    added = with_it.rate[0] - bare.rate[0]
+    assert sp.expand(added + rate * ((x + zero) ** 4 - (u["Ta"] + zero) ** 4)) == 0
+
+
+def test_radiation_to_a_sky_that_changes_is_named_with_its_size():
+    rng, time = np.random.default_rng(4), 60.0 * np.arange(900)
+    sun = np.repeat(rng.uniform(0, 900, 60), 15)
+    air = 280 + 12 * np.sin(time / 7000) + 4 * np.sin(time / 1900)
+    states = [np.array([300.0])]
+    for g, a in zip(sun[:-1], air[:-1], strict=True):
+
+        def rate(_, x, g=g, a=a):
+            return (4.6 * g - 6.5 * (x - a) - 9e-8 * (x**4 - a**4)) / 6e4
+
+        states.append(solve_ivp(rate, (0, 60), states[-1], rtol=1e-9, atol=1e-9).y[:, -1])
+    reading = np.array(states)[:, 0]
+    reading = reading + 0.005 * reading.std() * rng.normal(size=900)
+    inputs = {"G": sun, "Ta": air}
+    record = make_record(collector(), "sky", time, {"T": reading}, inputs, hold="zero_order")
+    run = spiral.discover(
+        record, collector(), holdout=0.3,
+        candidates=["radiation_exchange", "radiation_loss", "quadratic_loss", "cubic_loss"],
+    )  # fmt: skip
+    assert run.missing == ("radiation_exchange@T-Ta",)
+    key = "radiation_exchange@T-Ta.rate"
+    assert abs(run.model.values[key] - 9e-8 / 6e4) < 3 * run.model.errors[key]

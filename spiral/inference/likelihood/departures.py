@@ -300,13 +300,29 @@ def _noise_weighting_remarks(estimate: MaximumLikelihood) -> Iterator[str]:
     task = estimate.prepared[0][0]
     if (grown := task.series.grown) is None:
         return
+    names = task.compiled.traced.channels
+    levels = [(j, {t.series.loudness[j] for t, _ in estimate.prepared}) for j in range(len(names))]
+    for j in (j for j, known in levels if len(known) > 1):
+        sizes = [_white_noise(estimate, r, j) for r in range(len(estimate.prepared))]
+        unit = task.model.system.unit_of(names[j])
+        yield (
+            f"the noise of sensor {names[j]} differs between the records "
+            f"({', '.join(number(x, 3) for x in sizes)} {unit}), and each is weighted by its own"
+        )
     for j in _weighted_channels(estimate):
         low, high = np.quantile(np.sqrt(grown[:, j]), (0.05, 0.95))
         yield (
-            f"the noise of sensor {task.compiled.traced.channels[j]} grows with its reading, "
+            f"the noise of sensor {names[j]} grows with its reading, "
             f"{number(float(high / low), 2)}-fold over the middle 90 % of its values, and the fit "
             "weights its readings accordingly"
         )
+
+
+def _white_noise(estimate: MaximumLikelihood, record: int, channel: int) -> float:
+    """Standard deviation of a sensor's white noise in one record."""
+    task = estimate.prepared[record][0]
+    name = task.compiled.traced.channels[channel]
+    return float(estimate.noise.values[f"white.{name}"] * np.sqrt(task.series.loudness[channel]))
 
 
 def _weighted_channels(estimate: MaximumLikelihood) -> tuple[int, ...]:

@@ -163,7 +163,8 @@ def _print_where_it_acts(console: Console, plugin: type[Effect]) -> None:
     units = getattr(plugin, "units", ())
     first = f"acts {where}{axes}" + (f" in {', '.join(units)}" if units else "")
     if issubclass(plugin, StateFlow) and plugin.differences:
-        first += ", or on what a state has more than an input or a state of its unit"
+        also = "with" if plugin.differences == "only" else "or on"
+        first += f", {also} what a state has more than an input or a state of its unit"
     named = (
         ("needs the inputs {}", plugin.inputs), ("needs the channels {}", plugin.channels),
         ("in the limits of its shapes it is {}", plugin.special),

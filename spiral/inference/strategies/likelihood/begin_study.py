@@ -27,6 +27,7 @@ from spiral.inference.likelihood.interpolation import (
 )
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
 from spiral.inference.likelihood.outliers import fit_without_outliers
+from spiral.inference.likelihood.record_noise import fit_with_own_noise_levels
 from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_other_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.inference.problem import Problem, Progress
@@ -97,6 +98,7 @@ def _fit_seed(
     )  # fmt: skip
     bare = refine_substeps(bare, state)
     bare, fit = fit_without_outliers(bare, state, progress)
+    bare, fit = fit_with_own_noise_levels(bare, state, fit, progress) or (bare, fit)
     if state.between and fit.estimate.finite:
         fit = restore_declared_interpolation(bare, fit, progress)
     for effect in problem.model.effects:
