@@ -22,6 +22,7 @@ SPEED_RATE_KNOTS = 64  # samples between the knots of the curve that a rate is t
 _MOST_PIECES = 60
 MOST_SUBSTEPS = 32
 MOST_STABLE = 512  # the same where a mode would else be unstable
+_LASTING = 1 / 3  # of a motion, which every quarter of the record has that goes on
 _ADVANCE = 0.3  # rad, largest advance of a mode per integration step
 _STABLE_ADVANCE = 1.0  # the same of modes that need be stable only
 _LARGEST_ADVANCE = 2.0  # the same beyond ``MOST_SUBSTEPS``
@@ -92,6 +93,15 @@ class Series:
     @cached_property
     def _smoothed(self) -> dict[int, tuple[Array, ...]]:
         return {}
+
+    @cached_property
+    def is_lasting(self) -> bool:
+        """Whether readings go on moving: in every quarter by a third of what they do in all.
+
+        What only decays, or grows from where it began, does not.
+        """
+        least = _LASTING * self.deviations
+        return all(np.all(y.std(axis=0) >= least) for y in np.array_split(self.y, 4))
 
     @cached_property
     def deviations(self) -> Array:

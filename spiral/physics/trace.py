@@ -70,6 +70,12 @@ class TracedModel:
         return {c: j for j, c in enumerate(self.channels) if c in self.states}
 
     @cached_property
+    def driving(self) -> frozenset[str]:
+        """Input columns that rates follow, time among them."""
+        followed = set().union(*(rate.free_symbols for rate in self.rate))
+        return frozenset(n for n, u in zip(self.inputs, self.u, strict=True) if u in followed)
+
+    @cached_property
     def measured_or_read(self) -> frozenset[str]:
         """States that are measured as they are, or that enter a reading that is no state."""
         return frozenset((*self.shown, *(state for _, state, _ in self.reading_states)))

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from spiral.engine.resting import REST, state_jacobian
+from spiral.engine.filter.shifts import slopes_by_states
+from spiral.engine.resting import REST
 from spiral.engine.series import Series
 from spiral.physics.compile import CompiledModel
 from spiral.types.label import parameter_of
@@ -32,7 +33,10 @@ def response_scales(
     """
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
-    a = state_jacobian(compiled, values, series.mean_inputs)
+    rest, inputs = np.full(len(compiled.traced.states), REST), series.mean_inputs
+    a, c = slopes_by_states(compiled, rest, np.ascontiguousarray(inputs), values)
+    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(c))):
+        return None
     least, modes = _LEAST_DECAY / (series.dt * series.samples), np.linalg.eigvals(a)
     slowest = float(modes.real.max())
     if not (slowest <= least and np.all(np.abs(modes) > least)):  # it runs away, or rests anywhere
@@ -44,7 +48,6 @@ def response_scales(
         covariance = solve_continuous_lyapunov(a, -np.diag(np.logical_not(ruled).astype(float)))
     except LinAlgError:
         return None
-    c = _reading_slopes(compiled, values, series)
     scales, rates, readings = (
         np.sqrt(np.maximum(np.diag(m @ covariance @ m.T), 0.0)) for m in (np.eye(len(a)), a, c)
     )
@@ -53,12 +56,3 @@ def response_scales(
         return None
     factor = np.exp(np.mean(np.log(series.deviations[seen] / readings[seen])))
     return factor * scales, factor * rates
-
-
-def _reading_slopes(compiled: CompiledModel, values: Array, series: Series) -> Array:
-    """h_x (channels, n) at rest."""
-    n, m = len(compiled.traced.states), len(compiled.traced.channels)
-    c, d = np.zeros((m, n)), np.zeros((m, len(values)))
-    at, u = np.full(n, REST), np.ascontiguousarray(series.mean_inputs)
-    compiled.output(at, u, np.ascontiguousarray(values), np.empty(m), c, d)
-    return c

@@ -59,7 +59,7 @@ def common_shifts(compiled: CompiledModel, values: Array, inputs: Array, scales:
     for _ in range(_POINTS):
         p = np.where(values == 0, 1.0, values) * rng.uniform(0.5, 1.5, len(values))
         u = inputs + rng.normal(size=len(inputs)) * np.where(inputs == 0, 1.0, np.abs(inputs))
-        slopes = _slopes_by_states(compiled, wide * rng.normal(size=n), u, p)
+        slopes = np.concatenate(slopes_by_states(compiled, wide * rng.normal(size=n), u, p))
         rows += [_unit(r) for r in slopes * wide if np.isfinite(r).all() and r.any()]
     if not rows:
         return Shifts(np.zeros((n, 0)), ())
@@ -74,14 +74,14 @@ def _unit(row: Array) -> Array:
     return row / np.linalg.norm(row)
 
 
-def _slopes_by_states(compiled: CompiledModel, x: Array, u: Array, p: Array) -> Array:
-    """[f_x; h_x] (n + channels, n) at one point."""
+def slopes_by_states(compiled: CompiledModel, x: Array, u: Array, p: Array) -> tuple[Array, Array]:
+    """f_x (n, n) and h_x (channels, n) at one point."""
     n, m = len(x), len(compiled.traced.channels)
     a, c, d = np.zeros((n, n)), np.zeros((m, n)), np.zeros((max(n, m), len(p)))
     with np.errstate(all="ignore"):
         compiled.rate(x, u, p, np.empty(n), a, d[:n])
         compiled.output(x, u, p, np.empty(m), c, d[:m])
-    return np.concatenate([a, c])
+    return a, c
 
 
 def _reduce_to_anchors(basis: Array) -> Shifts:

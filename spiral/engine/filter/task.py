@@ -41,7 +41,6 @@ _STEP = 0.7  # largest phase advance per Runge-Kutta step, rad
 _LOUD = 10.0  # times the measured deviation beyond which a free run has gone astray
 _QUIET = 1e-9  # share of the measured deviation under which a free run says nothing
 _ROUNDING = 1e-12  # share of a mean under which a deviation is none
-_LASTING = 1 / 3  # of a motion, which every quarter of the record has that goes on
 _WINDOWS, _LOST = (41, 21, 11, 5), 2.0  # of local cubics; noise levels that one may smooth away
 _STILL = 0.3  # share of its value by which a state that stands still may be off
 
@@ -100,17 +99,10 @@ class FilterInput:
 
     @cached_property
     def is_driven_unseen(self) -> bool:
-        """Whether no input of the model varies and readings go on moving: what does it is unseen.
-
-        They go on where each moves in every quarter of the record by a third of what it does in
-        all: what only decays, or grows from where it began, does not.
-        """
-        followed = set().union(*(rate.free_symbols for rate in self.compiled.traced.rate))
-        columns = enumerate(self.compiled.traced.u)
-        varied = self.series.inputs[:, [j for j, u in columns if u in followed]]
-        least = _LASTING * self.series.deviations
-        lasting = all(np.all(y.std(axis=0) >= least) for y in np.array_split(self.series.y, 4))
-        return lasting and not np.any(np.ptp(varied, axis=0) > 0)
+        """Whether no input of the model varies and readings go on moving: by what is unseen."""
+        traced = self.compiled.traced
+        changing = self.series.changing_inputs(traced.inputs)
+        return self.series.is_lasting and traced.driving.isdisjoint(changing)
 
     @cached_property
     def disturbed(self) -> dict[bytes, Array]:

@@ -69,10 +69,8 @@ def refit_by_free_run(
     """
     if not fit.estimate.finite or is_random_force_small(fit) or not fit.estimate.keys:
         return fit
-    if all(
-        task.is_driven_unseen for task, _ in fit.estimate.prepared
-    ):  # a free run has nothing to follow
-        return fit
+    if all(task.is_driven_unseen for task, _ in fit.estimate.prepared):
+        return fit  # a free run has nothing to follow
     progress("fitting values that minimise the free-run error")
     noise, like = sensor_noise_only(fit), fit.estimate.prepared
     white_noise_only = noise.select_terms(t for t in noise.terms if t.kind == "white")
