@@ -234,6 +234,17 @@ def test_a_books_rates_per_day_become_rates_per_second():
     assert spiral.system(yaml.safe_load(found.text)).form.units == found.form.units
 
 
+def test_a_table_without_units_has_those_of_the_definition():
+    """Also where the equations are in SI by now: 1.2 per day is not 1.2 per second."""
+    model, time = spiral.system(GROWTH), np.arange(80.0)
+    table = {"time": time, "A": 16 + np.sin(time), "D": 1.2 + 0.1 * np.cos(time)}
+    record = spiral.read(table, model)
+    assert record.inputs["D"] == pytest.approx(table["D"] / 86400.0)
+    assert "D from 'D' in 1/d" in " ".join(record.notes)
+    same = spiral.read({**table, "D": table["D"] / 86400.0}, model, units={"D": "1/s"})
+    assert same.inputs["D"] == pytest.approx(record.inputs["D"])
+
+
 def test_data_sheets_in_units_of_other_sizes_become_si():
     given = {"equations": ["C*T' = P - G*(T - Ta)"], "states": {"T": "degC"}, "observed": ["T"],
              "inputs": {"P": "kW", "Ta": "degC"},

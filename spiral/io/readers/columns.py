@@ -381,7 +381,7 @@ class Columns(Source):
     def _resolve_units(
         self, system: System, table: Table, columns: Mapping[str, str]
     ) -> dict[str, str]:
-        """Name -> unit, as configured by name or by column, else as the file names it."""
+        """Name -> unit, as configured by name or by column, else as the file or model names it."""
         given = dict(self.units or {})
         from_pulse = self.pulse is not None and any(i.name == "speed" for i in system.inputs)
         also = ("time", "speed") if from_pulse else ("time",)
@@ -396,7 +396,9 @@ class Columns(Source):
                     did_you_mean(name, allowed),
                 )
         named = {n: table.units[c] for n, c in columns.items() if c in table.units}
-        return {**named, **by_column, **given}
+        written = getattr(system, "written_units", {})  # those of a definition that is in SI now
+        declared = {n: written[n][0] for n in columns if n in written}
+        return {**declared, **named, **by_column, **given}
 
 
 def _usual_time_column(table: Table) -> str:
