@@ -222,6 +222,21 @@ def test_a_browser_draws_it(html, tmp_path):
     assert file.stat().st_size > 50_000
 
 
+@pytest.mark.parametrize(("carried", "drawn"), [(True, [5.0, 4.0]), (False, [95.0, 103.0])])
+def test_errors_one_sample_ahead_fall_where_a_free_run_is_no_test(carried, drawn):
+    rounds = [
+        {"round": k, "admitted": ["drag"][:k], "fit_error": 0.9, "test_error": free,
+         "unseen": [{"samples": 1, "error": ahead}, {"samples": None, "error": free}],
+         "details": {"carried_away": True} if carried else {}}
+        for k, (free, ahead) in enumerate([(0.95, 0.05), (1.03, 0.04)])
+    ]  # fmt: skip
+    figure = error_falling({"rounds": rounds, "noise_floor": 0.01})
+    traces = {t.name: t for t in figure.data}
+    assert list(traces["test error"].y) == pytest.approx(drawn)
+    assert ("fit error" in traces) != carried
+    assert ("one sample ahead" in figure.layout.yaxis.title.text) == carried
+
+
 def test_the_title_names_look_alikes_too():
     rounds = [{"admitted": ["cubic_loss@T"], "aliases": {"cubic_loss@T": ["radiation_loss@T"]}}]
     saved = {"verb": "discover", "created": "2026-11-27T10:00", "config": {"system": {"name": "s"}},

@@ -51,27 +51,20 @@ def error_falling(
     """Fit and test error by round, the noise floor below them, the effect admitted at each step.
 
     Nothing for a history shorter than ``least`` rounds. Labels are placed for axes of ``width``
-    pixels in a figure of ``height``.
+    pixels in a figure of ``height``. Errors are those of free runs; one sample ahead where a free
+    run is no test of the final model.
     """
-    history = result_rounds(result)
+    history, what = _telling_errors(result_rounds(result))
     if len(history) < least or not _finite_errors(history):
         return None
     figure = blank_figure(height=height)
     numbers = [r["round"] for r in history]
     names = [_step_label(r) for r in history]
-    for key, name, colour, dash in (
-        ("fit_error", "fit error", SKY, "dot"),
-        ("test_error", "test error", BLUE, "solid"),
-    ):
-        values = [_as_percent(r.get(key)) for r in history]
-        figure.add_scatter(
-            x=numbers, y=values, name=name, mode="lines+markers", customdata=names,
-            line={"color": colour, "width": 3, "shape": "hv", "dash": dash}, marker={"size": 10},
-            hovertemplate="%{customdata}<br>%{y:.3g} %",
-        )  # fmt: skip
+    _draw_errors(figure, history, numbers, names)
     errors = [_as_percent(r.get("test_error")) for r in history]
     told = _labelled_points(errors)
     first, last, *span = _draw_floor_and_axes(figure, history, result.get("noise_floor"), width)
+    figure.update_yaxes(title_text=f"{what} (% of the deviation)")
     scale = width / (last - first), (height - _AROUND) / (span[1] - span[0])
     at = [(numbers[i], None if (v := errors[i]) is None else math.log10(v)) for i in told]
     for index, shift in zip(told, _label_shifts(at, *scale), strict=True):
@@ -88,6 +81,39 @@ def error_falling(
         figure.add_annotation(x=number, text=f"<b>{said}</b><br>{name}", align="left",
                               showarrow=False, xanchor="left", xshift=7, **at)  # fmt: skip
     return figure
+
+
+def _draw_errors(
+    figure: Any, history: Sequence[Mapping[str, Any]], numbers: list[int], names: list[str]
+) -> None:
+    """Draw fit and test errors over the rounds."""
+    for key, name, colour, dash in (
+        ("fit_error", "fit error", SKY, "dot"),
+        ("test_error", "test error", BLUE, "solid"),
+    ):
+        values = [_as_percent(r.get(key)) for r in history]
+        if not any(values):
+            continue
+        figure.add_scatter(
+            x=numbers, y=values, name=name, mode="lines+markers", customdata=names,
+            line={"color": colour, "width": 3, "shape": "hv", "dash": dash}, marker={"size": 10},
+            hovertemplate="%{customdata}<br>%{y:.3g} %",
+        )  # fmt: skip
+
+
+def _telling_errors(
+    history: list[Mapping[str, Any]],
+) -> tuple[list[Mapping[str, Any]], str]:
+    """The rounds with the errors that tell of their models, and what these are."""
+    ahead = [
+        next((h["error"] for h in r.get("unseen") or () if h.get("samples") == 1), None)
+        for r in history
+    ]
+    last = history[-1].get("details") or {} if history else {}
+    if not last.get("carried_away") or None in ahead:
+        return history, "free-run error"
+    told = zip(history, ahead, strict=True)
+    return [{**r, "fit_error": None, "test_error": e} for r, e in told], "error one sample ahead"
 
 
 def _labelled_points(values: Sequence[float | None]) -> list[int]:
@@ -157,8 +183,7 @@ def _draw_floor_and_axes(
     low, high = min([*values, floor or math.inf]), max(values)
     bottom, top = math.log10(low) - 0.25, math.log10(high)
     span = (bottom, top + max(0.45, 0.2 * (top - bottom)))  # room for the labels of the highest
-    figure.update_yaxes(title_text="free-run error (% of the deviation)", type="log",
-                        range=list(span), **decade_ticks(*span),
+    figure.update_yaxes(type="log", range=list(span), **decade_ticks(*span),
                         minor={"showgrid": True, "gridcolor": "rgba(0,0,0,0.047)"})  # fmt: skip
     return (*rounds, *span)
 

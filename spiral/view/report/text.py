@@ -46,8 +46,8 @@ SURFACE = (
     "with a shape shows that the force depends on the state; a flat one, that it does not."
 )
 FALLING = (
-    "Free-run errors, round by round, on a logarithmic scale; the test record took no part in any "
-    "choice."
+    "Errors round by round on a logarithmic scale, of free runs or, where these tell nothing, one "
+    "sample ahead; the test record took no part in any choice."
 )
 UNKNOWN = (
     "A force that no effect with a name explains, against the state it follows: the line is what "

@@ -64,7 +64,7 @@ from spiral.inference.likelihood.seed_fit import (
 from spiral.inference.likelihood.shapes import held_shapes, refit_effect_shapes
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.inference.likelihood.tolerances import Tolerances
-from spiral.inference.nearness import unexplained_error_growth
+from spiral.inference.nearness import is_free_run_carried_away, unexplained_error_growth
 from spiral.inference.problem import Progress, Settings
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.accepted import (
@@ -102,6 +102,8 @@ def compare_likelihood_fit(
     details: dict[str, Any] = {"noise": dict(fit.estimate.noise.values)}
     if told := likelihood_ratio_t(assembly, fit, comparison.model):
         details[LIKELIHOOD_RATIO_T] = told
+    if is_free_run_carried_away(comparison):
+        details["carried_away"] = True
     likelihood = -np.inf
     if fit.estimate.finite:
         details["log_likelihood"] = likelihood = fit.log_likelihood
