@@ -42,7 +42,7 @@ def held(count, least, most, levels, rng):
     values = np.empty(count)
     at = 0
     while at < count:
-        width = int(rng.integers(least, most))
+        width = int(rng.integers(least, most + 1))
         values[at : at + width] = rng.choice(levels)
         at += width
     return values
@@ -54,7 +54,8 @@ def record(seed, count=1200):
     blood = held(count, 50, 170, [0, 0, 150, 220, 300, 350, 400], rng) / 1e3
     blood[:60] = 0.3
     spent = held(count, 150, 400, [400, 500, 600], rng) / 1e3
-    states = [np.array([26.0, 26.3, 0.1])]
+    first = rng.uniform(22, 30)
+    states = [np.array([first, 1.01 * first, 0.1])]
     for q, d in zip(blood[:-1], spent[:-1], strict=True):
 
         def rate(_, x, q=q, d=d):
