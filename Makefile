@@ -95,7 +95,10 @@ test: warm ## Run the tests (without the slow ones)
 
 test-slow: warm ## Run the slow tests: statistics, whole studies, every tab of the page
 	@echo "test: pytest with $(WORKERS) workers, slow tests only"
-	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow -n $(WORKERS) --timeout=3600 $(IF_IT_HANGS) --dist loadgroup $(PYTEST)
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -m slow --ignore=tests/browser -n $(WORKERS) --timeout=3600 $(IF_IT_HANGS) \
+		--dist worksteal $(PYTEST)
+	@echo "test: all tests of the page, which go on where the one before ended"
+	@$(TEST_ENV) $(BIN)/python -m pytest -q -n $(WORKERS) --timeout=3600 $(IF_IT_HANGS) --dist loadfile $(PYTEST) tests/browser
 
 # Notebooks are executed where they or the package changed; their outputs are kept.
 docs: warm ## Build the documentation into site/ (no network; some two minutes the first time)

@@ -25,11 +25,8 @@ def pytest_collection_modifyitems(items):
     """Long files first, each with its tests in their own order; before all those of safety.
 
     They measure memory. A process that a worker starts is told to have taken at least as much as
-    that worker holds by then, which the tests before have left. Tests of the page go on where the
-    one before them ended: all of a file are one worker's, also where others are shared out singly.
+    that worker holds by then, which the tests before have left.
     """
-    for item in (i for i in items if i.path.parent.name == "browser"):
-        item.add_marker(pytest.mark.xdist_group(item.path.name))
     here = Path(__file__).parent
     rank = {here / name: number for number, name in enumerate(LONG)}
     rank |= dict.fromkeys((here / "safety").glob("test_*.py"), -1)
