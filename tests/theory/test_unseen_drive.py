@@ -31,14 +31,14 @@ def storeys():
     )  # fmt: skip
 
 
-def shaken(seed, cubic=0.0, seconds=60, fade=0.0):
+def shaken(seed, cubic=0.0, seconds=60):
     """(time, x1, x2) of two storeys whose floors a white force shakes; Euler and Maruyama."""
     rng, dt = np.random.default_rng(seed), 1e-3
     x, v, kept = np.zeros(2), np.zeros(2), []
-    for i in range(int(seconds / dt)):
+    for _ in range(int(seconds / dt)):
         twist = x[1] - x[0]
         between = 400 * twist + 0.4 * (v[1] - v[0]) + cubic * twist**3
-        push = LEVEL * np.exp(-fade * i * dt) * rng.normal(size=2) / np.sqrt(dt)
+        push = LEVEL * rng.normal(size=2) / np.sqrt(dt)
         a = np.array([-400 * x[0] - 0.4 * v[0] + between, -between]) + push
         v = v + dt * a
         x = x + dt * v
