@@ -48,8 +48,15 @@ $(BIN)/pip:
 # The lock has two parts: up to the mark what the program needs, then what the other targets need.
 LOCK = $(if $(HASHES),requirements.hashes.lock,requirements.lock)
 MARK := ^\# For tests
-# The lock is complete, so nothing is left to resolve; Python compiles what is imported when it is.
+# The lock is complete, so nothing is left to resolve.
 INSTALL = $(PIP) install --no-deps --no-compile $(if $(HASHES),--require-hashes) --requirement
+
+# Imported once, all is compiled and kept: where the environment forbids to keep it, every command
+# would compile it anew, for some seconds.
+IMPORT_ALL = import importlib, pkgutil, spiral; \
+	names = [m.name for m in pkgutil.walk_packages(spiral.__path__, 'spiral.')]; \
+	[importlib.import_module(n) for n in names if not n.endswith('__main__')]; \
+	import mlflow.store.tracking.sqlalchemy_store
 
 $(VENV)/.locked: requirements.lock | $(BIN)/pip
 	@sed '/$(MARK)/,$$d' $(LOCK) > $(VENV)/part
@@ -66,6 +73,7 @@ $(VENV)/.dev: requirements.lock $(VENV)/.installed
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
 	@echo "setup: the package itself"
 	@PYTHONWARNINGS='ignore:Editable installation' $(PIP) install --no-deps --no-build-isolation --editable .
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -c "$(IMPORT_ALL)"
 	@touch $@
 
 demo: setup ## Find what the rotor's model is missing, on the embedded record

@@ -1,6 +1,7 @@
 """Curves by the likelihood, values that were left behind, and values that keep their sign."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,11 @@ from spiral.inference.evidence.enlarge import study_with, transfer_fit_state, wi
 from spiral.inference.likelihood.candidates import second_basin_candidates
 from spiral.inference.problem import Problem, silent
 from spiral.inference.simulate import simulate
-from spiral.inference.strategies.likelihood.admission import _drop_unused_variants, offer_effects
+from spiral.inference.strategies.likelihood import curves
+from spiral.inference.strategies.likelihood.accepted import AcceptedCandidate
+from spiral.inference.strategies.likelihood.admission import offer_effects
+from spiral.inference.strategies.likelihood.benefit import Refusal
+from spiral.inference.strategies.likelihood.whole_fit import _drop_unused_variants
 from spiral.physics.learned import LEVELS, basis
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
@@ -132,6 +137,24 @@ def test_the_last_coefficients_are_a_spline_on_fewer_knots(most, knots):
     bend = np.diff(np.random.default_rng(0).normal(size=knots) @ rows, 2)
     jumps = np.abs(np.diff(bend, 2)) > 1e-6 * np.ptp(bend)
     assert 1 <= np.sum(np.diff(np.flatnonzero(jumps)) > 5) + 1 <= knots
+
+
+@pytest.mark.parametrize("spoils", [False, True])
+def test_knots_that_spoil_unseen_data_are_not_added(monkeypatch, spoils):
+    """A curve that few readings hold at its ends may leave all bounds in a test record."""
+    coarse, fine = (SimpleNamespace(refitted=name) for name in ("coarse", "fine"))
+    variant = SimpleNamespace(label="learned")
+    rival = SimpleNamespace(label="learned", ranked=SimpleNamespace(variant=variant))
+    passing = (AcceptedCandidate(rival, (), coarse), (SimpleNamespace(tried=()), None))
+    monkeypatch.setattr(curves, "_refine_knots", lambda whole, label, progress: fine)
+    monkeypatch.setattr(curves, "_as_curve_fit", lambda whole, label: whole)
+    monkeypatch.setattr(curves, "describe_curve", lambda fit, label, listed: fit.refitted)
+    monkeypatch.setattr(curves, "suggestions", lambda *_: ())
+    refusal = Refusal("the error on unseen data grows", grows=True) if spoils else None
+    asked = []
+    curve = curves._missing_curve(passing, lambda w: asked.append(w) or refusal, silent)
+    assert asked == [fine]
+    assert curve.refitted == curve.shape == ("coarse" if spoils else "fine")
 
 
 def test_curves_are_raced_among_themselves():

@@ -163,3 +163,15 @@ def test_an_effect_of_a_long_record_is_named_and_fitted_to_all_of_it(label, valu
     name = next(iter(values)).split(".")[1]
     assert abs(known[name].estimate - next(iter(values.values()))) < 4 * known[name].se
     assert any(t.startswith(f"so far: Missing was {label}") for t in told)
+
+
+@pytest.mark.slow
+def test_a_law_of_a_long_record_is_looked_for_on_stretches_and_fitted_to_all_of_it():
+    """The level has the error of all samples: that of an excerpt would be 1.7 times as large."""
+    values = {"coulomb_friction.level": 1.0, "coulomb_friction.width": 0.02}
+    asked = replace(long_problem((effect("coulomb_friction"),), values, 1), candidates=())
+    run = discover(asked)
+    law = run.model.estimates()["tanh_friction_law"]["a"]
+    assert run.verdict == "effect_missing"
+    assert law.se < 0.005
+    assert abs(law.estimate - 1.0) < 4 * law.se

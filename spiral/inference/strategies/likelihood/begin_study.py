@@ -32,8 +32,8 @@ from spiral.inference.likelihood.shapes import refit_effect_shapes, refit_from_o
 from spiral.inference.likelihood.tied_parameters import find_parameter_ties
 from spiral.inference.problem import Problem, Progress
 from spiral.inference.strategies.base import StartedStudy
-from spiral.inference.strategies.likelihood.admission import compare_likelihood_fit, finish_fit
 from spiral.inference.strategies.likelihood.other_noise import fit_with_noise_growth
+from spiral.inference.strategies.likelihood.whole_fit import compare_likelihood_fit, finish_fit
 from spiral.types.label import owner_of
 
 _FLAT = (

@@ -70,9 +70,8 @@ def refuse_unhelpful(
     if _is_answer_to_noise(before, after, settings):
         return Refusal(_ANSWER)
     judged_ = changes(before.unseen, after.unseen)
-    if (worse := unexplained_error_growth(before, after, settings)) is not None:
-        said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
-        return Refusal(f"the error on unseen data grows ({said})", alone=True, grows=True)
+    if (grows := refuse_growing_error(before, after, settings)) is not None:
+        return grows
     if is_moved_unseen(after):
         return None
     told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
@@ -86,6 +85,17 @@ def refuse_unhelpful(
         f"significant, but too small to matter: over every horizon it removes {removed} of the "
         f"error that is left (least {percent(settings.smallest)})"
     )
+
+
+def refuse_growing_error(
+    before: Comparison, after: Comparison, settings: Settings
+) -> Refusal | None:
+    """Refuse a model whose error on unseen data grows by more than chance and noise excuse."""
+    worse = unexplained_error_growth(before, after, settings)
+    if worse is None:
+        return None
+    said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
+    return Refusal(f"the error on unseen data grows ({said})", alone=True, grows=True)
 
 
 def _is_answer_to_noise(before: Comparison, after: Comparison, settings: Settings) -> bool:

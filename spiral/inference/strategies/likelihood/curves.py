@@ -43,7 +43,6 @@ from spiral.inference.strategies.likelihood.accepted import (
 )
 from spiral.inference.strategies.likelihood.admission import (
     benefit_objection,
-    compare_whole_record_fit,
     first_to_pass,
     offer_effects,
     race_offered,
@@ -52,10 +51,11 @@ from spiral.inference.strategies.likelihood.benefit import Refusal
 from spiral.inference.strategies.likelihood.changes import PromisingChanges
 from spiral.inference.strategies.likelihood.laws import (
     fit_without,
-    full_log_likelihood,
+    of_all_samples,
     stand_in_labels,
     undetermined_among,
 )
+from spiral.inference.strategies.likelihood.whole_fit import compare_whole_record_fit
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
 from spiral.physics.learned import LEVELS, Learned, LearnedParameterChange
@@ -125,7 +125,7 @@ def find_missing_curve(
         passing = _find_passing_curve(options, assembly, base, masks, level, helps, progress)
     if passing is None:
         return None
-    return replace(_missing_curve(passing, progress), replaces=replaces)
+    return replace(_missing_curve(passing, helps, progress), replaces=replaces)
 
 
 def find_equal_curve(
@@ -149,9 +149,9 @@ def find_equal_curve(
     start = fit_without(assembly, base, gone, masks[0], progress)
     if start is None:
         return None
+    records, log_likelihood = of_all_samples(assembly, state)
     numbers = len(base.estimate.keys) - len(start.estimate.keys)
-    price = schwarz_penalty(numbers, start.estimate.prepared)
-    least = full_log_likelihood(assembly, state) - price
+    least = log_likelihood - schwarz_penalty(numbers, records)
     assembly = offer_effects(assembly, assembly.problem.dictionary)
 
     def objection(whole: WholeRecordFit) -> Refusal | None:
@@ -162,16 +162,24 @@ def find_equal_curve(
     passing = _find_passing_curve(options, assembly, start, masks, level, objection, progress)
     if passing is None:
         return None
-    return replace(_missing_curve(passing, progress), replaces=replaces, undetermined=unsure)
+    curve = _missing_curve(passing, objection, progress)
+    return replace(curve, replaces=replaces, undetermined=unsure)
 
 
 def _missing_curve(
-    passing: tuple[AcceptedCandidate, tuple[Race, Ranking]], progress: Progress
-) -> MissingCurve:
-    """A curve that passed, on as many knots as are worth their penalty, and its shape."""
+    passing: tuple[AcceptedCandidate, tuple[Race, Ranking]], objection: Objection,
+    progress: Progress,
+) -> MissingCurve:  # fmt: skip
+    """A curve that passed, on as many knots as are worth their penalty, and its shape.
+
+    Knots to which the ``objection`` is made are not added: a curve that few readings hold at its
+    ends may leave all bounds on unseen data.
+    """
     passed, (race, ranked) = passing
     label, own = passed.rival.label, passed.rival.ranked.variant.label
     whole = _refine_knots(passed.whole, own, progress)
+    if whole is not passed.whole and objection(whole) is not None:
+        whole = passed.whole
     listed = suggestions(race.tried, ranked, label, passed.aliases)
     return MissingCurve(describe_curve(_as_curve_fit(whole, own), label, listed), whole.refitted)
 

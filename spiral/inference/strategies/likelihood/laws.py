@@ -20,14 +20,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from spiral.engine.filter.extended import FilterInputs
 from spiral.engine.likelihood.fit import maximise_likelihood
 from spiral.engine.likelihood.noise import OWN
 from spiral.engine.likelihood.predict import total_log_likelihood
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
-from spiral.inference.evidence.fit_state import FitState, Masks
+from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import Ranking
 from spiral.inference.likelihood.candidates import Rival
+from spiral.inference.likelihood.excerpts import excerpt_study, whole_state, whole_study
 from spiral.inference.likelihood.fitting import (
     LITTLE,
     WARM,
@@ -49,12 +51,12 @@ from spiral.inference.strategies.likelihood.accepted import (
 )
 from spiral.inference.strategies.likelihood.admission import (
     first_to_pass,
-    fit_beside_noise,
     offer_effects,
     race_offered,
 )
 from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
 from spiral.inference.strategies.likelihood.changes import PromisingChanges, with_every_form
+from spiral.inference.strategies.likelihood.whole_fit import fit_beside_noise
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.verdict import undetermined_effects
 from spiral.physics.formulas.laws import laws_of
@@ -79,8 +81,9 @@ class NamedLaw:
 class _LawStart:
     """A model from which laws are tried.
 
-    ``gone`` are the effects that it lets go, ``log_likelihood`` that of the model with them,
-    ``state`` that model's; ``worth`` what they gain on the blocks that select, less their penalty.
+    ``gone`` are the effects that it lets go, ``log_likelihood`` that of the model with them of all
+    samples of the ``records``, ``state`` that model's; ``worth`` what they gain on the blocks that
+    select, less their penalty.
     ``tolerances`` : what known values explain beside ``base`` that are a little off.
     """
 
@@ -88,6 +91,7 @@ class _LawStart:
     gone: tuple[str, ...] = ()
     log_likelihood: float = -np.inf
     state: FitState | None = None
+    records: FilterInputs = ()
     worth: float = 0.0
     tolerances: Tolerances = field(default_factory=Tolerances)
 
@@ -172,7 +176,8 @@ def _law_starts(
         numbers = len(base.estimate.keys) - len(before.estimate.keys)
         price = schwarz_penalty(numbers, before.estimate.prepared)
         worth = base.log_likelihood - before.log_likelihood - price
-        yield _LawStart(before, gone, full_log_likelihood(assembly, state), state, worth)
+        records, log_likelihood = of_all_samples(assembly, state)
+        yield _LawStart(before, gone, log_likelihood, state, records, worth)
     if whole:
         yield _LawStart(base)
 
@@ -192,10 +197,11 @@ def fit_without(
     return fit_by_likelihood(assembly, fit.state, masks=select, steps=WARM, rough=True)
 
 
-def full_log_likelihood(assembly: Assembly, state: FitState) -> float:
-    """Log-likelihood of all samples."""
+def of_all_samples(assembly: Assembly, state: FitState) -> tuple[FilterInputs, float]:
+    """The whole records, of which a study may be an excerpt, and their log-likelihood."""
     assert state.noise is not None
-    return total_log_likelihood(prepare_filter_tasks(assembly, state), state.noise)
+    records = prepare_filter_tasks(whole_study(assembly), whole_state(assembly, state))
+    return records, total_log_likelihood(records, state.noise)
 
 
 def _find_law_from(
@@ -221,7 +227,7 @@ def _find_law_from(
         return None
     gone = tuple(assembly.variant(x).original.label for x in start.gone)
     refitted, effect = passed.whole.refitted, passed.rival.ranked.variant.original
-    known = _find_equal_candidate(options, assembly, start, passed, masks, progress)
+    known = _find_equal_candidate(options, assembly, start, passed, progress)
     if known is not None:
         passed = replace(known, aliases=(effect.label, *passed.aliases))
         refitted, effect = known.whole.refitted, known.rival.ranked.variant.original
@@ -234,10 +240,10 @@ def _find_law_from(
 
 def _find_equal_candidate(
     options: LikelihoodOptions, assembly: Assembly, without: _LawStart, law: AcceptedCandidate,
-    masks: tuple[Masks, Masks], progress: Progress,
+    progress: Progress,
 ) -> AcceptedCandidate | None:  # fmt: skip
     """A candidate at a law's place that does as well beside the values found with the law."""
-    own, effect = law.whole.assembly, law.rival.ranked.variant.original
+    own, state, effect = law.whole.assembly, law.whole.fit.state, law.rival.ranked.variant.original
     refitted, noise = law.whole.refitted, law.whole.fit.estimate.noise
     known = tuple(
         e for e in assembly.problem.candidates_beside(effect)
@@ -246,13 +252,14 @@ def _find_equal_candidate(
     if not known:
         return None
     progress(f"testing which candidates do as well as {effect.label}")
-    bare = drop_effects(own, law.whole.fit.state, (law.rival.ranked.variant.label,))
+    own, state = excerpt_study(own, state, law.whole.fit) or (own, state)
+    bare, select = drop_effects(own, state, (law.rival.ranked.variant.label,)), half_masks(own)[0]
     first = without.base.estimate.noise
     estimate = maximise_likelihood(
-        prepare_filter_tasks(own, bare), (), first, {}, masks[0], WARM, rough=True
+        prepare_filter_tasks(own, bare), (), first, {}, select, WARM, rough=True
     )
     start = LikelihoodFit(with_estimate(bare, estimate), estimate)
-    contest = race_offered(offer_effects(own, known), start, masks[0], progress, options.rivals)
+    contest = race_offered(offer_effects(own, known), start, select, progress, options.rivals)
     least = refitted.log_likelihood - np.log(options.odds)
     winners = () if contest is None else contest[0].winners()
     for rival, _ in itertools.islice(winners, options.judged):
@@ -303,9 +310,10 @@ def _log_likelihood_beside_law_noise(assembly: Assembly, start: _LawStart, law: 
     assert known.noise is not None
     if law.noise is None or {*law.noise.names} == {*known.noise.names}:
         return start.log_likelihood
-    return fit_by_likelihood(assembly, known, law.noise, rough=True).log_likelihood
+    whole, known = whole_study(assembly), whole_state(assembly, known)
+    return fit_by_likelihood(whole, known, law.noise, rough=True).log_likelihood
 
 
 def _parameter_penalty(start: _LawStart, of: Comparison) -> float:
     """Schwarz's penalty of the fitted numbers of a model."""
-    return schwarz_penalty(len(of.model.errors), start.base.estimate.prepared)
+    return schwarz_penalty(len(of.model.errors), start.records)

@@ -40,21 +40,17 @@ from spiral.inference.likelihood.fitting import (
     schwarz_penalty,
 )
 from spiral.inference.likelihood.scores import rank_variants
-from spiral.inference.nearness import unexplained_error_growth
 from spiral.inference.problem import Progress
-from spiral.inference.strategies.likelihood.accepted import (
-    AcceptedCandidate,
-)
-from spiral.inference.strategies.likelihood.admission import (
-    fit_with_rival,
-    offer_effects,
-)
+from spiral.inference.strategies.likelihood.accepted import AcceptedCandidate, WholeRecordFit
+from spiral.inference.strategies.likelihood.admission import offer_effects
+from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_growing_error
 from spiral.inference.strategies.likelihood.superfluous import admitted_variants
 from spiral.inference.strategies.likelihood.twins import (
     fit_without,
     twin_labels,
     twins_at_its_values,
 )
+from spiral.inference.strategies.likelihood.whole_fit import fit_with_rival
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
@@ -87,6 +83,7 @@ def recheck_admitted(
         look-alikes then, and all that promised something then, the best first, with itself.
     """
     model = fit_by_likelihood(assembly, state, steps=WARM, rough=True)
+    part = excerpt_fit(assembly, model)
     left = dict(aliases)
     effects = admitted_variants(assembly, model) if model.estimate.finite else []
     for admitted in effects:
@@ -94,7 +91,9 @@ def recheck_admitted(
         declared = _declared_look_alikes(assembly, admitted)
         close = _runners_up(label, promising.get(label, ()))
         others = tuple(dict.fromkeys((*aliases.get(label, ()), *declared, *close)))
-        again = _contest_effects(options, assembly, model, (admitted,), others, progress)
+        again = _contest_on_all_samples(
+            options, assembly, model, part, (admitted,), others, progress
+        )
         if again is None:
             continue
         left[label] = again.untold(aliases.get(label, ()))
@@ -104,7 +103,7 @@ def recheck_admitted(
     for pair in itertools.pairwise(effects):
         first = pair[0].original.label
         others = tuple(s.effect for s in promising.get(first, ()) if s.effect != first)[:_PROMISING]
-        again = _contest_effects(options, assembly, model, pair, others, progress)
+        again = _contest_on_all_samples(options, assembly, model, part, pair, others, progress)
         likelier = again.find_likelier(options, comparison, progress) if again else None
         if likelier is not None:
             return left, likelier
@@ -211,6 +210,11 @@ class _Contest:
         Of a special case it is enough that it is as likely, of one for several that it is likelier
         once all numbers are paid for.
         """
+
+        def predicts_worse(whole: WholeRecordFit) -> Refusal | None:
+            settings = whole.assembly.problem.settings
+            return refuse_growing_error(comparison, whole.refitted.comparison, settings)
+
         special = _special_case_labels(self.ours.ranked.variant)
         for rival in self.others:
             odds = float(np.log(options.odds)) if len(self.labels) == 1 else 0.0
@@ -218,17 +222,29 @@ class _Contest:
                 -odds if rival.label in special else odds
             ):
                 continue
-            whole = fit_with_rival(rival, progress)
-            settings = rival.assembly.problem.settings
-            if whole.fit.estimate.finite and not unexplained_error_growth(
-                comparison, whole.refitted.comparison, settings
-            ):
+            whole = fit_with_rival(rival, progress, predicts_worse)
+            if whole.fit.estimate.finite and predicts_worse(whole) is None:
                 gone = tuple(dict.fromkeys((*self.labels, *whole.refitted.retired)))
                 whole = replace(whole, refitted=replace(whole.refitted, retired=gone))
                 return LikelierLookAlike(
                     AcceptedCandidate(rival, (), whole), self.ranking, self.others
                 )
         return None
+
+
+def _contest_on_all_samples(
+    options: LikelihoodOptions, assembly: Assembly, model: LikelihoodFit,
+    part: tuple[Assembly, LikelihoodFit] | None, admitted: tuple[Variant, ...],
+    others: tuple[str, ...], progress: Progress,
+) -> _Contest | None:  # fmt: skip
+    """A contest in which an excerpt (``part``) drops what it tells from the effects already."""
+    if part is None:
+        return _contest_effects(options, assembly, model, admitted, others, progress)
+    first = _contest_effects(options, *part, admitted, others, progress)
+    if first is None:
+        return None
+    again = _contest_effects(options, assembly, model, admitted, first.aliases, progress)
+    return again or first
 
 
 def _contest_effects(

@@ -24,8 +24,8 @@ from spiral.inference.likelihood.seed_fit import best_fit
 from spiral.inference.likelihood.smaller_forces import replace_large_forces
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
-from spiral.inference.strategies.likelihood.admission import compare_likelihood_fit, finish_fit
 from spiral.inference.strategies.likelihood.superfluous import drop_superfluous_effects
+from spiral.inference.strategies.likelihood.whole_fit import compare_likelihood_fit, finish_fit
 
 
 def fit_with_noise_growth(

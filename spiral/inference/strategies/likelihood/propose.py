@@ -13,7 +13,7 @@ from dataclasses import replace
 from spiral.inference.evidence.admission import is_second_order_remainder, untestable_effect_error
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.enlarge import enlarge
-from spiral.inference.evidence.fit_state import FitState, Masks
+from spiral.inference.evidence.fit_state import FitState
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking
 from spiral.inference.likelihood.candidates import (
     refit_candidate,
@@ -21,7 +21,6 @@ from spiral.inference.likelihood.candidates import (
 from spiral.inference.likelihood.excerpts import excerpt_study
 from spiral.inference.likelihood.fitting import (
     WARM,
-    LikelihoodFit,
     fit_by_likelihood,
     prepare_filter_tasks,
 )
@@ -36,12 +35,6 @@ from spiral.inference.strategies.likelihood.accepted import (
     AcceptedCandidate,
     RaceOutcome,
 )
-from spiral.inference.strategies.likelihood.admission import (
-    compare_likelihood_fit,
-    finish_fit,
-    fit_with_effect,
-)
-from spiral.inference.strategies.likelihood.changes import PromisingChanges
 from spiral.inference.strategies.likelihood.curves import (
     MissingCurve,
     find_equal_curve,
@@ -64,6 +57,11 @@ from spiral.inference.strategies.likelihood.race_round import (
     TestedCandidates,
     race_and_test,
     race_and_test_beyond,
+)
+from spiral.inference.strategies.likelihood.whole_fit import (
+    compare_likelihood_fit,
+    finish_fit,
+    fit_with_effect,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.errors import ConfigError
@@ -101,10 +99,7 @@ def propose(
     listed = suggestions(scored.rivals, scored.ranking, "", ())
     ending = _ending(comparison, assembly)
     step = Step(listed[: options.listed], contest.outcome.rejected, stopped=ending, result=scored)
-    return _step_without_candidate(
-        options, assembly, state, contest.base, step, comparison, contest.masks,
-        contest.changes, asked.level(), number, progress, beyond,
-    )  # fmt: skip
+    return _step_without_candidate(asked, contest, part or contest, step, beyond)
 
 
 def _is_of_another_time(assembly: Assembly, state: FitState) -> bool:
@@ -129,32 +124,31 @@ def _decided_step(
 
 
 def _step_without_candidate(
-    options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
-    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks],
-    changes: PromisingChanges, level: float, number: int, progress: Progress, beyond: bool,
+    asked: RoundInput, contest: TestedCandidates, searched: TestedCandidates,
+    step: Step[ScoredRound], beyond: bool,
 ) -> Step[ScoredRound]:  # fmt: skip
     """The step where no candidate passes: other noise, then what no candidate is, then waves.
 
     Beside waves candidates are asked once more. What no candidate is was not found where more was
     left to explain, and is not looked for again. Beside a model that is near its noise waves would
     explain colour of which next to nothing follows the motion: no effect that counts is behind it.
+
+    ``contest`` : of all samples. ``searched`` : of those on which what no candidate is is looked
+    for; all samples judge what is found.
     """
+    assembly, state, progress = contest.assembly, contest.state, asked.progress
     other = refit_with_smaller_forces(assembly, state, progress)
     if other is None:
-        if (grown := refit_with_noise_growth(assembly, state, base, progress)) is not None:
+        if (grown := refit_with_noise_growth(assembly, state, contest.base, progress)) is not None:
             return replace(step, stopped=_ending(grown.comparison, assembly), again=grown)
-        left = step
-        if beyond:
-            left = _step_for_unexplained(
-                options, assembly, state, base, step, comparison, masks, changes, level, progress
-            )
+        left = _step_for_unexplained(asked, searched, step) if beyond else step
         if left is not step or step.stopped == "whiteness":
             return left
         other = refit_with_resonant_force(assembly, state, progress)
         if other is None:
             return left
         beyond = False
-    return _propose_after_refit(options, assembly, other, number, progress, beyond)
+    return _propose_after_refit(asked.options, assembly, other, asked.number, progress, beyond)
 
 
 def _admitting_step(
@@ -176,17 +170,17 @@ def _admitting_step(
 
 
 def _step_for_unexplained(
-    options: LikelihoodOptions, assembly: Assembly, state: FitState, base: LikelihoodFit,
-    step: Step[ScoredRound], comparison: Comparison, masks: tuple[Masks, Masks],
-    changes: PromisingChanges, level: float, progress: Progress,
-) -> Step[ScoredRound]:  # fmt: skip
+    asked: RoundInput, searched: TestedCandidates, step: Step[ScoredRound]
+) -> Step[ScoredRound]:
     """The step where no candidate passes: a force with memory, a law or a curve is tried."""
+    options, comparison, progress = asked.options, asked.comparison, asked.progress
+    assembly, base, masks = searched.assembly, searched.base, searched.masks
     memory = find_missing_memory(assembly, base, comparison, masks, progress)
     if memory is not None:  # a curve over the present state would only stand in for it
         return replace(step, stopped="no_candidate", details={"memory": memory.as_dict()})
-    white = step.stopped == "whiteness"
+    white, level, changes = step.stopped == "whiteness", asked.level(), searched.changes
     law = find_named_law(
-        options, assembly, state, base, white, comparison, masks, level, changes, progress
+        options, assembly, searched.state, base, white, comparison, masks, level, changes, progress
     )
     if law is not None:
         label, aliases = law.effect.label, law.aliases
@@ -198,7 +192,9 @@ def _step_for_unexplained(
     if not assembly.problem.dictionary:
         return step
     if white and not is_much_random(comparison):
-        curve = find_equal_curve(options, assembly, state, base, comparison, masks, level, progress)
+        curve = find_equal_curve(
+            options, assembly, searched.state, base, comparison, masks, level, progress
+        )
     else:
         curve = find_missing_curve(
             options, assembly, base, comparison, masks, level, changes, progress

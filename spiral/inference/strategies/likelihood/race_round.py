@@ -44,10 +44,7 @@ from spiral.inference.strategies.likelihood.accepted import (
     Objection,
     RaceOutcome,
 )
-from spiral.inference.strategies.likelihood.admission import (
-    benefit_objection,
-    first_to_pass,
-)
+from spiral.inference.strategies.likelihood.admission import benefit_objection, first_to_pass
 from spiral.inference.strategies.likelihood.changes import PromisingChanges
 from spiral.inference.strategies.likelihood.explaining import (
     first_to_explain_all,
@@ -57,6 +54,7 @@ from spiral.inference.strategies.likelihood.look_alikes import prefer_special_ca
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.run import Comparison
 
+_SHOWN = 0.5  # of a candidate's score for each reading, from which an excerpt shows it
 _FAR = 1.5  # times the best candidate's gain, from which a change is asked before all others
 
 
@@ -94,11 +92,13 @@ class RoundInput:
 
 @dataclass(frozen=True)
 class TestedCandidates:
-    """Candidates raced and tested in one study.
+    """Candidates raced and tested in one study, that of ``assembly``, in which ``state`` is.
 
     ``other`` is the state with another interpolation of inputs that is likelier than them all.
     """
 
+    assembly: Assembly
+    state: FitState
     base: LikelihoodFit
     masks: tuple[Masks, Masks]
     changes: PromisingChanges
@@ -115,7 +115,8 @@ def race_and_test_beyond(
 
     These are candidates whose score on the whole is that of a change of every reading by
     ``settings.smallest`` of its noise: one that acts all along with less is too small to count, and
-    would have been as much on the excerpt. What the whole records have refused is not asked again.
+    would have been as much on the excerpt. One that the excerpt showed as plainly, for each of its
+    readings, was refused there. What the whole records have refused is not asked again.
     """
     masks, settings = half_masks(assembly), assembly.problem.settings
     changes = PromisingChanges(assembly, masks[0])
@@ -123,14 +124,17 @@ def race_and_test_beyond(
     if scored is None:
         return None
     base, ranked = scored
-    readings = sum(
-        (s.samples if m is None else int(m.sum())) * s.y.shape[1]
-        for s, m in zip(assembly.study.series, masks[0], strict=True)
-    )
-    least = settings.smallest**2 * readings
-    promising = [r for r in ranked.ranked if r.score.gain >= least]
+    shown = _gains_per_reading(part.assembly, part.masks[0], part.scored.ranking)
+    gains = _gains_per_reading(assembly, masks[0], ranked)
+    asked_here = {
+        x for x, gain in gains.items()
+        if gain >= settings.smallest**2 and shown.get(x, 0.0) < _SHOWN * gain
+    }  # fmt: skip
+    promising = [r for r in ranked.ranked if r.variant.original.label in asked_here]
     if not promising:
-        return replace(part, base=base, masks=masks, changes=changes)
+        return replace(
+            part, assembly=assembly, state=state, base=base, masks=masks, changes=changes
+        )
     race = start_race(assembly, base, promising, masks[0], asked.progress, asked.options.rivals)
     outcome = first_to_pass(
         asked.options, assembly, base, race, masks[1], asked.level(), asked.helps(),
@@ -139,7 +143,17 @@ def race_and_test_beyond(
     passed = outcome.admitted
     if len(passed) == 1:
         passed = (prefer_special_case(asked.options, passed[0], asked.progress),)
-    return TestedCandidates(base, masks, changes, ScoredRound(ranked, race.tried), outcome, passed)
+    tried = ScoredRound(ranked, race.tried)
+    return TestedCandidates(assembly, state, base, masks, changes, tried, outcome, passed)
+
+
+def _gains_per_reading(assembly: Assembly, masks: Masks, ranking: Ranking) -> dict[str, float]:
+    """What each candidate's score promises for every reading that selects, in log-likelihood."""
+    readings = sum(
+        (s.samples if m is None else int(m.sum())) * s.y.shape[1]
+        for s, m in zip(assembly.study.series, masks, strict=True)
+    )
+    return {r.variant.original.label: r.score.gain / readings for r in ranking.ranked}
 
 
 def race_and_test(
@@ -153,7 +167,7 @@ def race_and_test(
         return None
     base, ranked, race = begun
     changes = PromisingChanges(assembly, masks[0], race.tolerances)
-    contest = TestedCandidates(base, masks, changes, ScoredRound(ranked, ()))
+    contest = TestedCandidates(assembly, state, base, masks, changes, ScoredRound(ranked, ()))
     least = race.best - np.log(options.odds)  # what is not told apart is no effect
     if (other := likelier_interpolation_fit(assembly, base, masks[0], least, progress)) is not None:
         return replace(contest, other=whole_state(assembly, other.state))
