@@ -66,3 +66,26 @@ def test_random_forces_are_replaced_where_free_runs_improve(test, helps):
     after = known((20.0,), WITH_IT, random={"force.observed": 0.09}, disturbed=0.10)
     after = replace(after, fit_error=0.15, test_error=test)
     assert (reason(before, after) == "") == helps
+
+
+@pytest.mark.parametrize(
+    ("free", "disturbed", "helps"),
+    [
+        (25.4, 0.123, False),  # 25.5 -> 25.4 %, where chance makes 12 %
+        (25.4, 0.20, True),  # chance makes more than half of what it errs by, squared
+        (24.0, 0.123, True),  # it takes something of that error
+    ],
+)
+def test_an_effect_takes_something_of_an_error_that_chance_does_not_make(free, disturbed, helps):
+    """The next readings are predicted better, as beside a smaller random force."""
+    next_reading = (Horizon("one_sample", 1, None, {"c0": (1e-4 * e**2,) * 5}) for e in (1.0, 0.9))
+    before, after = known((25.5,), disturbed=0.16), known((free,), WITH_IT, disturbed=disturbed)
+    before, after = (
+        replace(each, unseen=(*each.unseen, ahead))
+        for each, ahead in zip((before, after), next_reading, strict=True)
+    )
+    refused = refuse_unhelpful(OPTIONS, before, after, SETTINGS)
+    assert (refused is None) == helps
+    if refused is not None:
+        assert refused.alone
+        assert "leaves the free run" in refused.reason

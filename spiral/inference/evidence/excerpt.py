@@ -20,7 +20,8 @@ from spiral.engine.series import Series
 from spiral.inference.problem import Problem
 from spiral.types.record import Array
 
-_LENGTHS = ((4, 2048), (2, 4096), (1, 8192))  # stretches of so many samples, the first that serves
+# Stretches of so many samples, the first that serves: long ones where a record has long pauses.
+_LENGTHS = ((4, 2048), (2, 4096), (1, 8192), (1, 16_384), (1, 32_768))
 _WORTH = 2.0  # times the samples of an excerpt that records have at least of which one is made
 _WITHIN = 0.5  # share of every reading's variance that stretches show within themselves, at least
 

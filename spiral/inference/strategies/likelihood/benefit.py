@@ -28,6 +28,7 @@ _ANSWER = (
     "without it white noise is left, and of free runs it takes little: as where a controller has "
     "answered to the noise of a reading in the same sample"
 )
+_HALF = 2.0  # times what noise and chance make, from which they make less than half of an error
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
@@ -79,12 +80,28 @@ def refuse_unhelpful(
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
     size = max((_reduction_size(b, a) for b, a in pairs), default=0.0)
     if max(size, _force_replacement_share(before, after)) >= settings.smallest:
+        if judged_ and _leaves_free_run(before, after, settings):
+            return Refusal(
+                f"it leaves the free run on unseen data as it was ({percent(after.test_error)}), "
+                f"and neither noise nor random {what_acts(after.model)}s make most of that error",
+                alone=True,
+            )
         return _refuse_below_noise(before, after, told, settings)
     removed = f"no more than {percent(size)}" if size > 0 else "nothing"
     return Refusal(
         f"significant, but too small to matter: over every horizon it removes {removed} of the "
         f"error that is left (least {percent(settings.smallest)})"
     )
+
+
+def _leaves_free_run(before: Comparison, after: Comparison, settings: Settings) -> bool:
+    """Whether a free run errs as before, and more than half of its squared error is unexplained."""
+    if is_free_run_carried_away(after):
+        return False
+    if _reduction_size(before.test_error, after.test_error) >= settings.smallest:
+        return False
+    parts = (after.noise_floor, after.disturbed, after.uncertain, after.drifting)
+    return after.test_error**2 > _HALF * sum(p**2 for p in parts)
 
 
 def refuse_growing_error(
