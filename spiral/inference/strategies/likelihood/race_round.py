@@ -116,10 +116,16 @@ def race_and_test_beyond(
     These are candidates whose score on the whole is that of a change of every reading by
     ``settings.smallest`` of its noise: one that acts all along with less is too small to count, and
     would have been as much on the excerpt. One that the excerpt showed as plainly, for each of its
-    readings, was refused there. What the whole records have refused is not asked again.
+    readings, was refused there. What the whole records have refused is not asked again. Where all
+    misses are white and a free run errs by no more than noise, none is there: so much of the
+    innovations would have a colour.
     """
     masks, settings = half_masks(assembly), assembly.problem.settings
     changes = PromisingChanges(assembly, masks[0])
+    whole = replace(part, assembly=assembly, state=state, masks=masks, changes=changes)
+    white = asked.comparison.whiteness_p >= settings.whiteness_level
+    if white and _leaves_nothing(asked.comparison, settings):
+        return replace(whole, base=_fit_on(assembly, state, masks[0]))
     scored = _score_candidates(assembly, state, masks[0])
     if scored is None:
         return None
@@ -132,9 +138,7 @@ def race_and_test_beyond(
     }  # fmt: skip
     promising = [r for r in ranked.ranked if r.variant.original.label in asked_here]
     if not promising:
-        return replace(
-            part, assembly=assembly, state=state, base=base, masks=masks, changes=changes
-        )
+        return replace(whole, base=base)
     race = start_race(assembly, base, promising, masks[0], asked.progress, asked.options.rivals)
     outcome = first_to_pass(
         asked.options, assembly, base, race, masks[1], asked.level(), asked.helps(),
@@ -313,11 +317,16 @@ def _likelier_instead(assembly: Assembly, state: FitState, outcome: RaceOutcome)
     return instead.fit_state if instead.log_likelihood > now.log_likelihood + WORTH else None
 
 
+def _fit_on(assembly: Assembly, state: FitState, select: Masks) -> LikelihoodFit:
+    """The model as it is on the blocks that select."""
+    return fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
+
+
 def _score_candidates(
     assembly: Assembly, state: FitState, select: Masks
 ) -> tuple[LikelihoodFit, Ranking] | None:
     """The model as it is on the blocks that select, and candidates by their score beside it."""
-    base = fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
+    base = _fit_on(assembly, state, select)
     ranked = rank_candidates(assembly, base, base.estimate.noise, select)
     return None if ranked is None else (base, ranked)
 
