@@ -259,9 +259,8 @@ def _contest_effects(
     """
     labels = tuple(v.original.label for v in admitted)
     there = {v.original.label for v in admitted_variants(assembly, model)}
-    known = tuple(
-        e for e in assembly.problem.candidates if e.label in others and e.label not in there
-    )
+    asked_for = (*assembly.problem.candidates, *assembly.problem.changes())
+    known = tuple(e for e in asked_for if e.label in others and e.label not in there)
     if not known:
         return None
     progress(f"testing again whether {', '.join(labels)} may be {first_words(others)}")
