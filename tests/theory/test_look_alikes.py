@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from spiral_plugins.systems.planar_rotor import PlanarRotor
@@ -15,6 +16,7 @@ from spiral.inference.rounds import (
     start_study,
     strategy_for,
 )
+from spiral.inference.strategies.likelihood import look_alikes
 from spiral.inference.strategies.likelihood.look_alikes import _runners_up
 from spiral.io.registry import load_registry
 from spiral.types.model import Model, seed_model
@@ -185,3 +187,29 @@ def test_twins_are_late_by_the_same_time():
         assert REGISTRY.make("effect", name).limit_values(pair)["time"] == 3.0
         early = {"time_x": -2.0, "time_y": 1.0, "scale": 1.0}  # its own scale stays
         assert not REGISTRY.make("effect", name).limit_values(early)
+
+
+@pytest.mark.parametrize(
+    ("first", "again", "asked", "told"),
+    [
+        (("lag",), ("lag",), [("part", ("lag", "stop")), ("whole", ("lag",))], "whole"),
+        ((), None, [("part", ("lag", "stop")), ("whole", ())], "part"),  # told apart already
+        (None, None, [("part", ("lag", "stop"))], None),
+    ],
+)
+def test_all_samples_decide_only_between_what_stretches_do_not_tell_apart(
+    monkeypatch, first, again, asked, told
+):
+    left, calls = {"part": first, "whole": again}, []
+
+    def contest(options, assembly, model, admitted, others, progress):
+        calls.append((assembly, others))
+        named = left[assembly]
+        return None if named is None else SimpleNamespace(aliases=named, where=assembly)
+
+    monkeypatch.setattr(look_alikes, "_contest_effects", contest)
+    result = look_alikes._contest_on_all_samples(
+        None, "whole", None, ("part", None), (), ("lag", "stop"), silent
+    )
+    assert calls == asked
+    assert (result.where if result else None) == told
