@@ -8,6 +8,7 @@ named as what was missing.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from spiral.inference.disturbances import (
     random_forces,
@@ -43,7 +44,15 @@ from spiral.types.formatting import number, percent
 from spiral.types.horizon import changes
 from spiral.types.label import split_key
 from spiral.types.model import Model
-from spiral.types.run import UNTOLD, Comparison, Round, StopReason, Verdict, admitted_labels
+from spiral.types.run import (
+    RANDOM_OR_MISSING,
+    UNTOLD,
+    Comparison,
+    Round,
+    StopReason,
+    Verdict,
+    admitted_labels,
+)
 from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"
@@ -238,6 +247,8 @@ def verdict_sentence(verdict: Verdict, comparison: Comparison, settings: Setting
             "Was the test made on another machine or setting, or does it contain motions that the "
             "fitted record does not?"
         )
+    if reasons and not shortfalls(comparison, replace(settings, random_limit=float("inf"))):
+        words = RANDOM_OR_MISSING
     told = f"{words}: {'; '.join(reasons)}." if reasons else f"{words}."
     return " ".join(filter(None, (told, random, _slow_force_sentence(comparison, settings))))
 

@@ -28,6 +28,11 @@ were over."""
 UNTOLD = "This record does not tell whether more is missing than what acts at random"
 """How a verdict begins where random forces make more of a free run than half of all motion."""
 
+RANDOM_OR_MISSING = (
+    "Either much acts at random, or something is missing that no known effect explains"
+)
+"""How a verdict begins where nothing but the size of a random force speaks against the model."""
+
 
 @dataclass(frozen=True)
 class ChannelError:

@@ -27,7 +27,8 @@ from spiral.inference.verdict import (
 )
 from spiral.types.horizon import Horizon
 from spiral.types.model import Model, seed_model
-from spiral.types.run import UNTOLD, Comparison, Round
+from spiral.types.run import RANDOM_OR_MISSING, UNTOLD, Comparison, Round
+from spiral.view.report.text import _headline
 from tests.scenes import effect
 
 SETTINGS = Settings()
@@ -186,6 +187,22 @@ def test_what_random_forces_may_hide_is_not_nothing(error, stopped, verdict):
     if verdict == "unknown_structure" and stopped != "max_seconds":
         assert verdict_sentence(verdict, pushed, SETTINGS).startswith(UNTOLD)
         assert "Record what drives" in advice_for(verdict, stopped, [seed], (), SETTINGS)
+
+
+@pytest.mark.parametrize(("p", "begins"), [(0.4, True), (1e-9, False)])
+def test_where_only_a_random_force_is_too_large_it_may_be_one(p, begins):
+    """Misses that are not white speak against the model whatever acts at random."""
+    pushed = replace(
+        GOOD, random={"force.observed": 0.47}, disturbed=0.13, test_error=0.14, whiteness_p=p,
+        whiteness_effect=0.2,
+    )  # fmt: skip
+    words = verdict_sentence("unknown_structure", pushed, SETTINGS)
+    assert words.startswith(RANDOM_OR_MISSING) == begins
+    assert "a random force of 47.0 % of the machine's own forces would have to act" in words
+    head = _headline({"summary": words, "verdict": "unknown_structure"})
+    assert head == (
+        RANDOM_OR_MISSING if begins else "Something is missing that no known effect explains"
+    )
 
 
 @pytest.mark.parametrize(("moved", "told"), [(0.05, False), (0.4, True)])

@@ -11,7 +11,7 @@ import numpy as np
 
 from spiral.io.curves import SEED, Curves
 from spiral.types.formatting import number, percent, plus_minus, probability, sentences
-from spiral.types.run import UNTOLD, estimate_rows
+from spiral.types.run import RANDOM_OR_MISSING, UNTOLD, estimate_rows
 from spiral.view.report.evidence import result_rounds
 from spiral.view.report.markup import safe_mathml
 from spiral.view.report.sketch import sketch_figure
@@ -144,8 +144,9 @@ def _headline(result: Mapping[str, Any]) -> str:
     if effects:
         alike = {k: v for r in result_rounds(result) for k, v in (r.get("aliases") or {}).items()}
         return f"Missing: {', '.join(_words_with_aliases(e, alike.get(e, ())) for e in effects)}"
-    if str(result.get("summary", "")).startswith(UNTOLD):
-        return UNTOLD
+    for words in (UNTOLD, RANDOM_OR_MISSING):
+        if str(result.get("summary", "")).startswith(words):
+            return words
     if result.get("stopped") == "max_seconds":
         return "The search ended before all candidates were tried"
     verdicts = {
