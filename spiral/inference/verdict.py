@@ -57,7 +57,7 @@ from spiral.types.system import has_coordinates
 
 LIKELIHOOD_RATIO_T = "standard_errors"
 """Key of a round's details: by effect, |t| by the likelihood ratio to the model without it."""
-_MOST_AT_RANDOM = 0.5  # of the machine's own forces, and of its motion
+MOST_AT_RANDOM = 0.5  # of the machine's own forces, and of its motion
 
 _VERDICTS = {
     "effect_missing": "An effect is missing.",
@@ -136,7 +136,7 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
     Much is left where there are ``shortfalls``, or where random forces are to explain an error of
     free runs that is larger than the noise. Little is ``settings.smallest`` or less of that error
     on unseen data, where it is not carried away; beside forces little is what ``takes_little``
-    says, also some time ahead. Beside random forces of more than ``_MOST_AT_RANDOM`` of the
+    says, also some time ahead. Beside random forces of more than ``MOST_AT_RANDOM`` of the
     machine's own that make as much of a free run, what moves it is not known. Of a state that
     follows at once the rate is small, and a small force much beside it.
     """
@@ -144,7 +144,7 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
     if len(rounds) < 2:
         return False
     alone, largest = is_moved_unseen(last), max(random_forces(last).values(), default=0.0)
-    if min(largest, last.disturbed) > _MOST_AT_RANDOM and not alone:
+    if min(largest, last.disturbed) > MOST_AT_RANDOM and not alone:
         return True
     if is_free_run_carried_away(last):
         return False

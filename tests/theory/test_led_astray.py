@@ -10,7 +10,7 @@ from spiral.inference.evidence.enlarge import enlarge
 from spiral.inference.likelihood.fitting import fit_by_likelihood
 from spiral.inference.problem import silent
 from spiral.inference.rounds import rank_last_round, start_study, strategy_for
-from spiral.inference.strategies.likelihood import admission
+from spiral.inference.strategies.likelihood import whole_fit
 
 VALUES = {
     "system.mass": 1.2, "linear_stiffness.stiffness": 4e3, "linear_damping.damping": 6.0,
@@ -48,7 +48,7 @@ def test_the_noise_of_before_stays_where_unseen_data_are_predicted_worse(
     own = enlarge(started.assembly, ("cubic_stiffness",))
     state = step.result.refitted.fit_state
     label = state.labels[-1]
-    finish = admission.finish_fit
+    finish = whole_fit.finish_fit
 
     def search(assembly, fit, progress, anew=False):
         if not astray:
@@ -58,9 +58,9 @@ def test_the_noise_of_before_stays_where_unseen_data_are_predicted_worse(
         moved = replace(fit.state, values=values, held=(STIFFNESS,))
         return fit_by_likelihood(assembly, moved, rough=True)
 
-    monkeypatch.setattr(admission, "finish_fit", search)
+    monkeypatch.setattr(whole_fit, "finish_fit", search)
     said = []
-    whole = admission.fit_with_effect(own, state, label, said.append, objection=lambda whole: None)
+    whole = whole_fit.fit_with_effect(own, state, label, said.append, objection=lambda whole: None)
     assert any("noise model as it was" in m for m in said) == astray
     told = whole.refitted.comparison.model.estimates()["linear_stiffness"]["stiffness"]
     assert np.isclose(told.estimate, VALUES[STIFFNESS], atol=4 * told.se)

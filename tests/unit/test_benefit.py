@@ -31,6 +31,12 @@ def known(errors, model=SEED, floor=0.01, **more):
     return replace(plain, unseen=horizons(*errors), **more)
 
 
+def ahead(comparison, error):
+    """A comparison that has an error one sample ahead as well, in per cent."""
+    next_reading = Horizon("one_sample", 1, None, {"c0": (1e-4 * error**2,) * 5})
+    return replace(comparison, unseen=(*comparison.unseen, next_reading))
+
+
 def reason(before, after):
     refused = refuse_unhelpful(OPTIONS, before, after, SETTINGS)
     return "" if refused is None else refused.reason
@@ -78,14 +84,19 @@ def test_random_forces_are_replaced_where_free_runs_improve(test, helps):
 )
 def test_an_effect_takes_something_of_an_error_that_chance_does_not_make(free, disturbed, helps):
     """The next readings are predicted better, as beside a smaller random force."""
-    next_reading = (Horizon("one_sample", 1, None, {"c0": (1e-4 * e**2,) * 5}) for e in (1.0, 0.9))
-    before, after = known((25.5,), disturbed=0.16), known((free,), WITH_IT, disturbed=disturbed)
-    before, after = (
-        replace(each, unseen=(*each.unseen, ahead))
-        for each, ahead in zip((before, after), next_reading, strict=True)
-    )
+    before = ahead(known((25.5,), disturbed=0.16), 1.0)
+    after = ahead(known((free,), WITH_IT, disturbed=disturbed), 0.9)
     refused = refuse_unhelpful(OPTIONS, before, after, SETTINGS)
     assert (refused is None) == helps
     if refused is not None:
         assert refused.alone
         assert "leaves the free run" in refused.reason
+
+
+@pytest.mark.parametrize(("moves", "helps"), [(0.1, True), (0.6, False), (float("nan"), False)])
+def test_a_force_as_large_as_the_machines_own_is_none_where_it_moves_it_little(moves, helps):
+    """A white flow of a slow state, sampled often, is large beside its rate and moves it little."""
+    pushed = {"random": {"force.observed": 1.0}, "disturbed": moves}
+    after = ahead(known((6.0,), WITH_IT, **pushed), 0.9)
+    refused = refuse_unhelpful(OPTIONS, ahead(known((12.0,)), 1.0), after, SETTINGS)
+    assert (refused is None) == helps

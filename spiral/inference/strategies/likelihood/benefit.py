@@ -18,7 +18,7 @@ from spiral.inference.nearness import (
 )
 from spiral.inference.problem import Settings
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.inference.verdict import undetermined_effects
+from spiral.inference.verdict import MOST_AT_RANDOM, undetermined_effects
 from spiral.types.effect import SensorEffect
 from spiral.types.formatting import percent
 from spiral.types.horizon import Change, changes
@@ -59,7 +59,8 @@ def refuse_unhelpful(
     that force, whatever is missing: there likelihood alone tells.
     """
     forces = max(random_forces(after).values(), default=0.0)
-    if forces >= _BOUND * options.random_limit and not is_moved_unseen(after):
+    at_bound = forces >= _BOUND * options.random_limit and not after.disturbed < MOST_AT_RANDOM
+    if at_bound and not is_moved_unseen(after):
         acting = what_acts(after.model)
         return Refusal(
             f"with it, too, a random {acting} as large as the machine's own would have to act: "
