@@ -73,6 +73,7 @@ $(VENV)/.dev: requirements.lock $(VENV)/.installed
 $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
 	@echo "setup: the package itself"
 	@PYTHONWARNINGS='ignore:Editable installation' $(PIP) install --no-deps --no-build-isolation --editable .
+	@echo "setup: compiling what it imports"
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -c "$(IMPORT_ALL)"
 	@touch $@
 

@@ -79,12 +79,9 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
     """
     if (made := excerpt_study(assembly, state)) is not None:
         part, begun = made
-        first = best_fit(part, begun, progress)
-        progress("most likely values for the whole records")
-        begun = whole_state(part, first.state)
-        fit = fit_by_likelihood(assembly, begun, first.estimate.noise, rough=True)
+        fit = fit_whole_from_excerpt(assembly, part, best_fit(part, begun, progress), progress)
         if fit.estimate.finite:
-            return refit_initial_states(assembly, refit_on_wanted_steps(assembly, fit))
+            return fit
     tried: list[LikelihoodFit] = []
     for begin, level in _start_states(assembly, state, progress):
         noise = first_noise(prepare_filter_tasks(assembly, begin)[0][0], level)
@@ -98,6 +95,18 @@ def best_fit(assembly: Assembly, state: FitState, progress: Progress) -> Likelih
     progress("most likely values of the model as it is")
     fit = fit_by_likelihood(assembly, best.state, rough=True)
     fit = _take_others_on(assembly, fit, [t for t in tried if t is not best])
+    return refit_initial_states(assembly, refit_on_wanted_steps(assembly, fit))
+
+
+def fit_whole_from_excerpt(
+    assembly: Assembly, part: Assembly, fit: LikelihoodFit, progress: Progress
+) -> LikelihoodFit:
+    """A fit to an excerpt (``part``) taken on with the whole records, on the steps they want."""
+    progress("most likely values for the whole records")
+    begun = whole_state(part, fit.state)
+    fit = fit_by_likelihood(assembly, begun, fit.estimate.noise, rough=True)
+    if not fit.estimate.finite:
+        return fit
     return refit_initial_states(assembly, refit_on_wanted_steps(assembly, fit))
 
 

@@ -28,7 +28,7 @@ _ANSWER = (
     "without it white noise is left, and of free runs it takes little: as where a controller has "
     "answered to the noise of a reading in the same sample"
 )
-_HALF = 2.0  # times what noise and chance make, from which they make less than half of an error
+_HALF = 0.5  # of a squared error, which noise and chance make at least where they explain it
 _BOUND = 0.99  # share of the largest random force from which one stands at its bound
 
 
@@ -102,7 +102,7 @@ def _leaves_free_run(before: Comparison, after: Comparison, settings: Settings) 
     if _reduction_size(before.test_error, after.test_error) >= settings.smallest:
         return False
     parts = (after.noise_floor, after.disturbed, after.uncertain, after.drifting)
-    return after.test_error**2 > _HALF * sum(p**2 for p in parts)
+    return _HALF * after.test_error**2 > sum(p**2 for p in parts)
 
 
 def refuse_growing_error(

@@ -83,9 +83,9 @@ def recheck_admitted(
         look-alikes then, and all that promised something then, the best first, with itself.
     """
     model = fit_by_likelihood(assembly, state, steps=WARM, rough=True)
-    part = excerpt_fit(assembly, model)
     left = dict(aliases)
     effects = admitted_variants(assembly, model) if model.estimate.finite else []
+    part = excerpt_fit(assembly, model) if effects else None
     for admitted in effects:
         label = admitted.original.label
         declared = _declared_look_alikes(assembly, admitted)

@@ -125,18 +125,18 @@ def race_and_test_beyond(
     whole = replace(part, assembly=assembly, state=state, masks=masks, changes=changes)
     white = asked.comparison.whiteness_p >= settings.whiteness_level
     if white and _leaves_nothing(asked.comparison, settings):
-        return replace(whole, base=_fit_on(assembly, state, masks[0]))
+        return replace(whole, base=_fit_on_blocks(assembly, state, masks[0]))
     scored = _score_candidates(assembly, state, masks[0])
     if scored is None:
         return None
     base, ranked = scored
     shown = _gains_per_reading(part.assembly, part.masks[0], part.scored.ranking)
     gains = _gains_per_reading(assembly, masks[0], ranked)
-    asked_here = {
-        x for x, gain in gains.items()
-        if gain >= settings.smallest**2 and shown.get(x, 0.0) < _SHOWN * gain
-    }  # fmt: skip
-    promising = [r for r in ranked.ranked if r.variant.original.label in asked_here]
+    promising = [
+        r for r in ranked.ranked
+        if (gain := gains[x := r.variant.original.label]) >= settings.smallest**2
+        and shown.get(x, 0.0) < _SHOWN * gain
+    ]  # fmt: skip
     if not promising:
         return replace(whole, base=base)
     race = start_race(assembly, base, promising, masks[0], asked.progress, asked.options.rivals)
@@ -317,7 +317,7 @@ def _likelier_instead(assembly: Assembly, state: FitState, outcome: RaceOutcome)
     return instead.fit_state if instead.log_likelihood > now.log_likelihood + WORTH else None
 
 
-def _fit_on(assembly: Assembly, state: FitState, select: Masks) -> LikelihoodFit:
+def _fit_on_blocks(assembly: Assembly, state: FitState, select: Masks) -> LikelihoodFit:
     """The model as it is on the blocks that select."""
     return fit_by_likelihood(assembly, state, masks=select, steps=WARM, rough=True)
 
@@ -326,7 +326,7 @@ def _score_candidates(
     assembly: Assembly, state: FitState, select: Masks
 ) -> tuple[LikelihoodFit, Ranking] | None:
     """The model as it is on the blocks that select, and candidates by their score beside it."""
-    base = _fit_on(assembly, state, select)
+    base = _fit_on_blocks(assembly, state, select)
     ranked = rank_candidates(assembly, base, base.estimate.noise, select)
     return None if ranked is None else (base, ranked)
 

@@ -39,6 +39,7 @@ from spiral.inference.likelihood.noise_selection import (
 )
 from spiral.inference.likelihood.seed_fit import (
     best_fit,
+    fit_whole_from_excerpt,
     is_noise_settled,
     refine_integration_steps,
     refit_on_wanted_steps,
@@ -73,11 +74,10 @@ def fit_with_rival(
 ) -> WholeRecordFit:
     """The model with a candidate that was raced, fitted to all samples; as ``fit_with_effect``."""
     own, state = _drop_unused_variants(rival.assembly, rival.fit.state)
-    label = rival.ranked.variant.label
+    label, like = rival.ranked.variant.label, rival.fit.estimate.prepared
     if own.excerpt is None:
-        return fit_with_effect(own, state, label, progress, rival.fit.estimate.prepared, objection)
-    raced = replace(rival.fit, state=state)
-    fit = _fit_values_on_whole(own, raced, label, progress)
+        return fit_with_effect(own, state, label, progress, like, objection)
+    fit = _fit_values_on_whole(own, state, label, progress, like)
     return _with_noise_model(whole_study(own), fit, label, progress, objection)
 
 
@@ -115,22 +115,19 @@ def _fit_values(
 
 
 def _fit_values_on_whole(
-    part: Assembly, rival: LikelihoodFit, label: str, progress: Progress
+    part: Assembly, state: FitState, label: str, progress: Progress, like: FilterInputs
 ) -> LikelihoodFit:
     """The most likely values for the whole records, from those that an excerpt of them prefers.
 
-    ``rival`` : the model with the candidate as it was raced on the excerpt, ``part``.
+    Parameters as in ``fit_with_effect``, of the excerpt ``part``.
     """
     whole = whole_study(part)
-    first = _fit_values(part, rival.state, label, progress, rival.estimate.prepared)
+    first = _fit_values(part, state, label, progress, like)
     if first.estimate.finite:
-        progress("most likely values for the whole records")
-        begun = whole_state(part, first.state)
-        fit = fit_by_likelihood(whole, begun, first.estimate.noise, rough=True)
-        fit = refit_initial_states(whole, refit_on_wanted_steps(whole, fit))
+        fit = fit_whole_from_excerpt(whole, part, first, progress)
         if fit.estimate.finite:
-            return _release_told_values(whole, fit, begun)[0]
-    return _fit_values(whole, whole_state(part, rival.state), label, progress, None)
+            return _release_told_values(whole, fit, whole_state(part, first.state))[0]
+    return _fit_values(whole, whole_state(part, state), label, progress, None)
 
 
 def _held_of_seed(assembly: Assembly, state: FitState) -> tuple[str, ...]:
