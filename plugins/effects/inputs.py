@@ -6,15 +6,9 @@ an effect is there: 1 where the actuator is as the equation says.
 
 from __future__ import annotations
 
+from spiral_plugins.effects.late import DelayedValue, half_sample_remark, late_by
 from spiral_plugins.effects.restoring import WIDTH, excess_over_gap
-from spiral_plugins.effects.sensors import (
-    SCALE,
-    delay_curvature,
-    delayed,
-    half_sample_remark,
-    late_by,
-    scale_remark,
-)
+from spiral_plugins.effects.sensors import scale_remark
 
 from spiral.math import length, tanh
 from spiral.types.effect import InputEffect, StateFlow
@@ -223,52 +217,18 @@ class InputHysteresis(InputEffect):
         return rate - (length([rate]) * held + p.asymmetry * rate * length([held])) / p.length
 
 
-class InputDelay(InputEffect):
+class InputDelay(DelayedValue, InputEffect):
     """An actuator that acts late by T: acting = u(t - T).
 
-    A bus, a controller's cycle, transport in a pipe. Twice T / 2, each with states a and b of a
-    time z / 2, z near T,
-
-        z a' = 2 b,  z b' = 2 c,  c = 12 (u - a) - 6 b,  r = T / z,
-        u(t - T / 2) = u - r b + (r^2 - r) c / 2,
-
-    right to the second order in T whatever z is, and with z = T Pade's second approximation (Baker,
-    Graves-Morris, Pade Approximants) twice: right in phase to (2 pi f T)^5 / 11520 at the frequency
-    f. Linear in T to leading order only. All sensors late by T look the same.
+    A bus, a controller's cycle, transport in a pipe; with four states (``DelayedValue``). All
+    sensors late by T look the same.
     """
 
-    states = (
-        State("level", "position", like="position"),
-        State("slope", "position"),
-        State("later_level", "position", like="position"),
-        State("later_slope", "position"),
-    )
     twins = ("delay", "sensor_lag")
-    whole = {"time": "scale"}
-    parameters = (Parameter("time", "s", lower=0.0), SCALE)
 
     def drive(self, at, u, p):
-        """u(t - T / 2), late by T / 2 once more."""
-        halfway = self._halfway(at, p)
-        return delayed(halfway, at.own.later_level, at.own.later_slope, p.time / p.scale)
-
-    def rate(self, at, u, p):
-        """2 b / z and 2 c / z of both halves."""
-        own, half, (given,) = at.own, p.scale / 2, at.position
-        halfway = self._halfway(at, p)
-        return {
-            "level": own.slope / half,
-            "slope": delay_curvature(given, own.level, own.slope) / half,
-            "later_level": own.later_slope / half,
-            "later_slope": delay_curvature(halfway, own.later_level, own.later_slope) / half,
-        }
-
-    def _halfway(self, at, p):
-        return delayed(at.position[0], at.own.level, at.own.slope, p.time / p.scale)
-
-    def limit_values(self, values):
-        """A sensor's delay or lag of the same time."""
-        return late_by([values["time"]])
+        """u(t - T)."""
+        return self.late_value(at, p)
 
     def remark(self, values, step):
         """Remarks on a negative delay, and on one of half a sample."""

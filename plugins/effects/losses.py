@@ -226,7 +226,7 @@ class RadiationLoss(StateFlow):
 
     parameters = (
         Parameter("rate", "force/K^4", lower=0.0),
-        Parameter("zero", "K", role="shape", grid=(0.0, 293.15)),
+        Parameter("zero", "K", role="shape", grid=(0.0, 293.15), choice=True),
         Parameter("room", "K", role="shape", grid=(293.15,)),
     )
 
@@ -246,13 +246,34 @@ class RadiationExchange(StateFlow):
     differences = "only"
     parameters = (
         Parameter("rate", "force/K^4", lower=0.0),
-        Parameter("zero", "K", role="shape", grid=(0.0, 293.15)),
+        Parameter("zero", "K", role="shape", grid=(0.0, 293.15), choice=True),
     )
 
     def flow(self, at, u, p):
         """-r ((z + x)^4 - (z + y)^4)."""
         there = p.zero + at.outside
         return [-p.rate * ((there + at.position[0]) ** 4 - there**4)]
+
+
+class MutualRadiation(StateFlow):
+    """Heat radiated between two bodies: x_i' = ... - c_i ((z + x_i)^4 - (z + x_j)^4), i, j = 1, 2.
+
+    A muffle and the ware in it, a filament and its bulb. c_1 and c_2 are one emissivity times
+    5.67e-8 W/m^2/K^4 times area over either capacity, z as of a ``radiation_loss``. Of temperatures
+    that hardly move it is an ``exchange``.
+    """
+
+    axes = 2
+    special = ("exchange",)
+    parameters = (
+        Parameter("rate", "force/K^4", lower=0.0, per_axis=True),
+        Parameter("zero", "K", role="shape", grid=(0.0, 293.15), choice=True),
+    )
+
+    def flow(self, at, u, p):
+        """-c_1 d and c_2 d, d = (z + x_1)^4 - (z + x_2)^4."""
+        first, second = ((p.zero + x) ** 4 for x in at.position)
+        return [-p.rate[0] * (first - second), p.rate[1] * (first - second)]
 
 
 class Exchange(StateFlow):

@@ -7,12 +7,21 @@ from __future__ import annotations
 
 import math
 
+from spiral_plugins.effects.late import (
+    SCALE,
+    delay_curvature,
+    delayed,
+    half_sample_remark,
+    lag_contradiction,
+    late_by,
+    times_of,
+)
+
 from spiral.math import cos, sin
 from spiral.types.effect import SensorEffect
 from spiral.types.parameter import Parameter, State
 
 _TURN = 6.283185307179586
-_NEAR = 0.1  # samples around half a sample
 _CONVERSIONS = (
     (180 / math.pi, "rad", "degrees"),
     (2 * math.pi, "turns", "rad"),
@@ -30,8 +39,6 @@ _UNITS = {
     **{factor: f"{one} to {other}" for factor, one, other in _CONVERSIONS},
     **{1 / factor: f"{other} to {one}" for factor, one, other in _CONVERSIONS},
 }  # of factors: what they convert
-_LATE = 1.5  # T over z halfway between a lag (1) and a delay (2)
-SCALE = Parameter("scale", "s", lower=0.0, role="shape", start=0.01, spectrum=True)
 
 
 class Offset(SensorEffect):
@@ -96,20 +103,6 @@ class AxisRotation(SensorEffect):
         return [first + p.angle * second, second - p.angle * first]
 
 
-def late_by(times):
-    """How each effect that is late names its values, for one whose axes are late by these times.
-
-    By their mean; nothing where that is no delay.
-    """
-    late = sum(times) / len(times)
-    return {"time": late, "scale": late, "share": 1.0, "time_constant": late} if late > 0 else {}
-
-
-def times_of(values):
-    """The times by which the axes of a late effect are late."""
-    return [v for k, v in values.items() if k.startswith("time")]
-
-
 class Delay(SensorEffect):
     """A sensor that reports late by T_i: reading = y_i + (q_i(t - T_i) - q_i).
 
@@ -170,17 +163,6 @@ class Delay(SensorEffect):
         return half_sample_remark(min(times), step)
 
 
-def delay_curvature(given, level, slope):
-    """c = 12 (q - a) - 6 b of the states of a half of a delay."""
-    return 12 * (given - level) - 6 * slope
-
-
-def delayed(given, level, slope, ratio):
-    """q(t - T / 2) = q - r b + (r^2 - r) c / 2, r = T / z."""
-    bent = delay_curvature(given, level, slope)
-    return given - ratio * slope + (ratio * ratio - ratio) * bent / 2
-
-
 def _curvatures(given, levels, slopes, time):
     rows = zip(given, levels, slopes, strict=True)
     return [delay_curvature(q, a, b) / time for q, a, b in rows]
@@ -219,10 +201,7 @@ class SensorLag(SensorEffect):
 
     def contradiction(self, fitted):
         """With T near 2 z it is Pade's first approximation of a delay of T, and no lag."""
-        times = times_of(fitted)
-        if "scale" not in fitted or not times or max(times) < _LATE * fitted["scale"]:
-            return ""
-        return "what it reports first goes the other way, as a delay's reading does and no lag's"
+        return lag_contradiction(fitted, "what it reports")
 
 
 def scale_remark(factors):
@@ -235,16 +214,6 @@ def scale_remark(factors):
     nearest = min(_UNITS, key=lambda f: abs(math.log(worst / f)))
     told = f" (near {_UNITS[nearest]})" if 0.97 < worst / nearest < 1.03 else ""
     return f"a factor of {worst:.4g}{told} is a wrong unit or range sooner than a wrong scale"
-
-
-def half_sample_remark(late, step):
-    """The remark on a delay near half a sample step; empty for any other delay."""
-    if not abs(late / step - 0.5) < _NEAR:
-        return ""
-    return (
-        f"{late:.2g} s is half a sample, as where a controller holds an input to the next sample: "
-        "record.hold=zero_order if it does"
-    )
 
 
 class Runout(SensorEffect):

@@ -12,6 +12,7 @@ from spiral.types.effect import (
     ParameterEffect,
     SensorEffect,
     is_other_value,
+    is_path,
 )
 from spiral.types.formatting import first_words, join_words, number
 from spiral.types.model import Model, pretty_unit
@@ -59,6 +60,9 @@ def _label_with_place(model: Model, label: str, least_t: float) -> str:
     if isinstance(effect, ParameterEffect):
         port = model.system.place(effect)
         return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
+    if is_path(effect):
+        port = model.system.place(effect)
+        return f"{label} (on the way from {port.against} to {port.axes[0]})"
     if effect is None:
         return label
     law, axes = law_meaning(effect), _only_axes(model, effect, least_t)

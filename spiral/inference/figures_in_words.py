@@ -11,6 +11,7 @@ from spiral.inference.nearness import (
     is_free_run_carried_away,
     is_moved_unseen,
     next_sample_error,
+    takes_most,
 )
 from spiral.inference.problem import Settings
 from spiral.types.formatting import number, percent
@@ -62,9 +63,14 @@ def growth_excuse(first: Comparison, last: Comparison) -> str:
     grown = last.test_error > first.test_error and not is_free_run_carried_away(last)
     if not grown or before is None or after is None:
         return ""
+    fitted = (
+        f"; of the record that was fitted {percent(first.fit_error)} -> {percent(last.fit_error)}"
+        if takes_most(first.fit_error, last.fit_error)
+        else ""
+    )
     return (
         f", which noise and random {what_acts(last.model)}s explain in a free run; one sample "
-        f"ahead {percent(before)} -> {percent(after)}"
+        f"ahead {percent(before)} -> {percent(after)}{fitted}"
     )
 
 

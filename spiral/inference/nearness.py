@@ -38,6 +38,7 @@ from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison, StopReason
 
 _SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to make of one free run
+_GONE = 0.5  # share of a squared error under which most of it is taken away
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
 _GREW = 1.05  # times itself, from which the free run of fitted records is worse
@@ -82,6 +83,11 @@ def takes_little(before: float, after: float) -> bool:
     That no effect takes away, and errors of several causes add up in squares.
     """
     return before**2 <= (1 + _SMALL_PART**2) * after**2
+
+
+def takes_most(before: float, after: float) -> bool:
+    """Whether more than half of a squared error is taken away."""
+    return after**2 < _GONE * before**2
 
 
 def evidence_chi2(comparison: Comparison) -> float:

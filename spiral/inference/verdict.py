@@ -36,6 +36,7 @@ from spiral.inference.nearness import (
     predicts_nothing,
     shortfalls,
     takes_little,
+    takes_most,
     unexplained_error_growth,
 )
 from spiral.inference.problem import Settings
@@ -136,9 +137,10 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
     Much is left where there are ``shortfalls``, or where random forces are to explain an error of
     free runs that is larger than the noise. Little is ``settings.smallest`` or less of that error
     on unseen data, where it is not carried away; beside forces little is what ``takes_little``
-    says, also some time ahead. Beside random forces of more than ``MOST_AT_RANDOM`` of the
-    machine's own that make as much of a free run, what moves it is not known. Of a state that
-    follows at once the rate is small, and a small force much beside it.
+    says, also some time ahead; but where a test hardly moves, so that its error had less than the
+    noise to fall, free runs of the fitted records tell. Beside random forces of more than
+    ``MOST_AT_RANDOM`` of the machine's own that make as much of a free run, what moves it is not
+    known. Of a state that follows at once the rate is small, and a small force much beside it.
     """
     first, last = rounds[0].comparison, rounds[-1].comparison
     if len(rounds) < 2:
@@ -152,9 +154,16 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
         return last.test_error > (1 - settings.smallest) * first.test_error
     if leaves_less_than_noise(last.test_error, last, settings):
         return False
+    if takes_most(first.fit_error, last.fit_error) and not _may_fall(first, last, settings):
+        return False
     fallen = [(c.before, c.after) for c in changes(first.unseen, last.unseen)]
     fallen.append((first.test_error, last.test_error))
     return all(takes_little(before, after) for before, after in fallen)
+
+
+def _may_fall(first: Comparison, last: Comparison, settings: Settings) -> bool:
+    """Whether the error on unseen data was larger at first than noise lets it be."""
+    return not leaves_less_than_noise(first.test_error, last, settings)
 
 
 def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:

@@ -31,6 +31,7 @@ from spiral.types.effect import (
     InputEffect,
     ParameterEffect,
     SensorEffect,
+    is_path,
 )
 from spiral.types.errors import ConfigError, InputError, PluginError, SpiralError
 from spiral.types.fields import construct, field_names, plain
@@ -86,7 +87,8 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
     After a check that the others rest on (it fits, it traces) has failed, no more are run.
     """
     still = isinstance(effect, SensorEffect) and not has_coordinates(system)
-    driven = isinstance(effect, InputEffect | ParameterEffect) or getattr(effect, "rated", False)
+    seeing = getattr(effect, "rated", False) or is_path(effect)  # rates that the seed is part of
+    driven = seeing or isinstance(effect, InputEffect | ParameterEffect)
     beside = system.seed if still or driven else ()  # flows that a reading or an input may show
     whole, bare = physics.Physics(system, (*beside, effect)), physics.Physics(system, beside)
     return _run_checks(
@@ -339,7 +341,7 @@ def misfit(effect: Effect, system: System) -> str:
 _FIRST_ORDER = """
 title: A warm body in a room, two concentrations, a speed, two pressures
 equations: ["body' = k*heating - c*(body - room)", "a' = -c*a", "b' = -c*b", "v' = -c*v",
-  "p' = -c*p", "q' = -c*q"]
+  "p' = -c*p", "q' = c*(p - q)"]
 states: {body: K, a: mol/l, b: mol/l, v: m/s, p: Pa, q: Pa}
 inputs: {heating: W, room: K}
 parameters: {k: 0.1 K/J, c: 0.1 1/s}

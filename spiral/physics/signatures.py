@@ -20,7 +20,15 @@ import sympy as sp
 
 from spiral.physics.plugin_calls import call_equation
 from spiral.physics.readings import reading_slopes
-from spiral.physics.trace import TracedModel, trace
+from spiral.physics.system_functions import (
+    auxiliary_function,
+    capacities,
+    mass_matrix,
+    parameter_symbols,
+    port_geometry,
+    port_position,
+)
+from spiral.physics.trace import trace
 from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
@@ -30,6 +38,7 @@ from spiral.types.effect import (
     ParameterEffect,
     SensorEffect,
     StateFlow,
+    is_path,
 )
 from spiral.types.label import parameter_of
 from spiral.types.placement import check_effect, input_columns
@@ -51,8 +60,9 @@ class SystemMotion:
     (samples, n) and ``readings`` (samples, channels) of the model as it is, ``values`` of the
     system's parameters by name, ``by_input`` slopes of the rates (samples, n) and the readings
     (samples, channels) by each input that an actuator may change, ``by_parameter`` by the logarithm
-    of each parameter that is asked whether it varies (full name); ``reading_rates`` (samples,
-    channels) where readings are no states; ``known`` keeps what all effects of a place share.
+    of each parameter that is asked whether it varies (full name), ``by_state`` slopes of the rates
+    by each state of which it is asked how it acts on others; ``reading_rates`` (samples, channels)
+    where readings are no states; ``known`` keeps what all effects of a place share.
     """
 
     system: System
@@ -63,6 +73,7 @@ class SystemMotion:
     values: Mapping[str, float]
     by_input: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     by_parameter: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    by_state: Mapping[str, Array] = field(default_factory=dict)
     reading_rates: Array | None = None
     known: dict[str, Any] = field(default_factory=dict, compare=False)
 
@@ -74,6 +85,7 @@ class SystemMotion:
             reading_rates=None if self.reading_rates is None else self.reading_rates[where],
             by_input={k: (a[where], b[where]) for k, (a, b) in self.by_input.items()},
             by_parameter={k: (a[where], b[where]) for k, (a, b) in self.by_parameter.items()},
+            by_state={k: slopes[where] for k, slopes in self.by_state.items()},
         )  # fmt: skip
 
     def compute_once(self, name: str, made: Callable[[], Any]) -> Any:
@@ -218,7 +230,7 @@ def port_motion_along(along: SystemMotion, effect: Effect) -> tuple[Array, Array
     if has_coordinates(along.system):
         position, velocity, _ = along.compute_once(port.name, lambda: _port_kinematics(along, port))
         return position, velocity
-    place = _port_position(along.system, port.name)(*along.states.T, *along.parameters)
+    place = port_position(along.system, port.name)(*along.states.T, *along.parameters)
     position = _stack_columns(place, len(along.states))
     return position, np.gradient(position, axis=0)
 
@@ -261,18 +273,8 @@ def auxiliary_along(
     system: System, name: str, states: Array, inputs: Array, parameters: Sequence[float]
 ) -> Array:
     """(samples,) one of a system's ``auxiliaries`` along states and inputs (samples, columns)."""
-    values = _auxiliary_function(system, name)(*states.T, *inputs.T, *parameters)
+    values = auxiliary_function(system, name)(*states.T, *inputs.T, *parameters)
     return np.array(np.broadcast_to(values, len(states)), float)
-
-
-@kept(64)
-def _auxiliary_function(system: System, name: str) -> Function:
-    """a(x, u, p) of one auxiliary."""
-    traced = trace(system, ())
-    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
-    value = system.auxiliary(x, u, _parameter_symbols(traced))[name]
-    return sp.lambdify([*traced.x, *traced.u, *traced.p], value, "numpy")
 
 
 def _recorded_input(along: SystemMotion, port: Port) -> Array:
@@ -303,12 +305,7 @@ def _injected_values(
         injected[:, pushed] = _apply_matrix(jacobian, forces)
         return injected
     if isinstance(effect, StateFlow):
-        places = [_state_index(system, name) for name in port.axes if effect.rated]
-        velocity = tuple(along.rates[:, place] for place in places)
-        counted = port.against and not effect.driver
-        outside = followed_variable(along, port) if counted else 0.0
-        position = tuple(_flow_position(along, effect, port).T)
-        at = At(position, velocity, own, outside=outside)
+        at = _seen_by_flow(along, effect, port, own)
         into = call_equation(effect, "flow", effect.flow, at, u, p)
         injected[:, [names.index(name) for name in port.axes]] = _stack_columns(into, count)
         return injected
@@ -322,10 +319,33 @@ def _injected_values(
     return injected
 
 
+def _seen_by_flow(along: SystemMotion, effect: StateFlow, port: Port, own: SimpleNamespace) -> At:
+    """What a flow between states of first order sees along a motion."""
+    places = [_state_index(along.system, name) for name in port.axes if effect.rated]
+    velocity = tuple(along.rates[:, place] for place in places)
+    counted = port.against and not effect.driver
+    outside = followed_variable(along, port) if counted else 0.0
+    position = tuple(_flow_position(along, effect, port).T)
+    at = At(position, velocity, own, outside=outside)
+    return replace(at, along_path=_path_along(along, port)) if is_path(effect) else at
+
+
+def _path_along(along: SystemMotion, port: Port) -> Callable[[Any], Any]:
+    """What more flows in where the driver of a path has another value, to leading order."""
+    (into,), system = port.axes, along.system
+    names = [i.name for i in system.injections]
+    forces = [c.name for c in system.coordinates] if has_coordinates(system) else []
+    row = _state_index(system, system.rate_name(into) if into in forces else into)
+    gain = along.compute_once("pushed", lambda: _collapse_constant(_injection_gain_along(along)))
+    slope = along.by_state[port.against][:, row] / gain[..., row, names.index(into)]
+    here = followed_variable(along, port)
+    return lambda value: slope * (value - here)
+
+
 def _port_kinematics(along: SystemMotion, port: Port) -> tuple[Array, Array, Array]:
     """(samples, axes) positions and velocities of a port, and its Jacobian's transpose."""
     count = len(along.states)
-    position, velocity, jacobian = _port_geometry(along.system, port.name)(
+    position, velocity, jacobian = port_geometry(along.system, port.name)(
         *along.states.T, *along.parameters
     )
     turned = np.swapaxes(_stack_matrix(jacobian, count), 1, 2)
@@ -380,19 +400,12 @@ def _stack_matrix(rows: Sequence[Sequence[Any]], count: int) -> Array:
     return np.stack([_stack_columns(row, count) for row in rows], axis=1)
 
 
-def _parameter_symbols(traced: TracedModel) -> SimpleNamespace:
-    """The symbols of a system without effects, by the names of its parameters."""
-    return SimpleNamespace(
-        **{parameter_of(k): s for k, s in zip(traced.keys, traced.p, strict=True)}
-    )
-
-
 def injection_slopes(system: System) -> sp.Matrix:
     """Slopes (states, injections) of the rates by what is injected, in the symbols of ``trace``."""
     traced = trace(system, ())
     x = SimpleNamespace(**dict(zip((s.name for s in system.states), traced.x, strict=True)))
     u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
-    p = _parameter_symbols(traced)
+    p = parameter_symbols(traced)
     pushes = {i.name: sp.Symbol(f"q{j}", real=True) for j, i in enumerate(system.injections)}
     rates = system.rate(x, u, p, pushes)
     wanted = sp.Matrix([sp.sympify(rates[s.name]) for s in system.states])
@@ -410,14 +423,14 @@ def _injection_gain_along(along: SystemMotion) -> Array:
     if not has_coordinates(system) or type(system).rate is not MechanicalSystem.rate:
         rows = _injection_gain(system)(*along.states.T, *along.inputs.T, *along.parameters)
         return _stack_matrix(rows, count)
-    mass = _mass_matrix(system)(*along.states.T, *along.parameters)
+    mass = mass_matrix(system)(*along.states.T, *along.parameters)
     inverse = np.linalg.inv(_stack_matrix(mass, count))
     states, names = [s.name for s in system.states], [c.name for c in system.coordinates]
     gain = np.zeros((count, len(states), len(system.injections)))
     pushed = [states.index(system.rate_name(n)) for n in names]
     gain[:, pushed, : len(names)] = inverse
-    changing, capacities = _capacities(system)
-    values = capacities(*along.states.T, *along.inputs.T, *along.parameters)
+    changing, capacity = capacities(system)
+    values = capacity(*along.states.T, *along.inputs.T, *along.parameters)
     for j, other in enumerate(system.injections[len(names) :], len(names)):
         over = values[changing.index(other.name)] if other.name in changing else 1.0
         gain[:, states.index(other.name), j] = 1.0 / over
@@ -430,51 +443,3 @@ def _injection_gain(system: System) -> Function:
     traced = trace(system, ())
     slopes = injection_slopes(system).tolist()
     return sp.lambdify([*traced.x, *traced.u, *traced.p], slopes, "numpy")
-
-
-@kept(32)
-def _mass_matrix(system: MechanicalSystem) -> Function:
-    """M(x, p) of a mechanical system."""
-    traced = trace(system, ())
-    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    mass = system.mass(system.split(x)[0], _parameter_symbols(traced))
-    return sp.lambdify([*traced.x, *traced.p], mass, "numpy")
-
-
-@kept(32)
-def _capacities(system: MechanicalSystem) -> tuple[list[str], Function]:
-    """Names of ``MechanicalSystem.capacities``, and their values by (x, u, p)."""
-    traced = trace(system, ())
-    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    u = SimpleNamespace(**dict(zip(traced.inputs, traced.u, strict=True)))
-    named = system.capacities(*system.split(x), u, _parameter_symbols(traced))
-    values = sp.lambdify([*traced.x, *traced.u, *traced.p], list(named.values()), "numpy")
-    return list(named), values
-
-
-@kept(128)
-def _port_geometry(system: System, name: str) -> Function:
-    """Position, velocity and Jacobian of a port by the states."""
-    assert has_coordinates(system)
-    traced = trace(system, ())
-    port = system.port(name)
-    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    p = _parameter_symbols(traced)
-    q, v = system.split(x)
-    names = [c.name for c in system.coordinates]
-    position = sp.Matrix([sp.sympify(e) for e in port.coordinates(q, p)])
-    jacobian = position.jacobian([getattr(q, n) for n in names])
-    velocity = jacobian * sp.Matrix([getattr(v, n) for n in names])
-    parts = [position.flat(), velocity.flat(), jacobian.tolist()]
-    return sp.lambdify([*traced.x, *traced.p], parts, "numpy")
-
-
-@kept(128)
-def _port_position(system: System, name: str) -> Function:
-    """Position of a port of a system that is not mechanical, by the states."""
-    traced = trace(system, ())
-    port = system.port(name)
-    x = SimpleNamespace(**dict(zip(traced.states, traced.x, strict=True)))
-    p = _parameter_symbols(traced)
-    place = [sp.sympify(e) for e in port.coordinates(x, p)]
-    return sp.lambdify([*traced.x, *traced.p], place, "numpy")

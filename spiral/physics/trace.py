@@ -18,23 +18,27 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.effect_states import axis_suffixes, own_states, states_like_port
+from spiral.physics.injections import (
+    PlacedEffect,
+    sum_injections,
+    system_rates,
+    with_rates_of_states,
+)
 from spiral.physics.plugin_calls import call_equation
 from spiral.physics.readings import own_readings
 from spiral.types.cache import kept
 from spiral.types.effect import (
     Effect,
-    FlowEffect,
-    ForceEffect,
     InputEffect,
     ParameterEffect,
     SensorEffect,
     StateFlow,
     values_for,
 )
-from spiral.types.errors import PluginError, did_you_mean
+from spiral.types.errors import PluginError
 from spiral.types.parameter import Parameter
 from spiral.types.placement import check_effect, input_columns, model_keys
-from spiral.types.port import At, Port, varied_key
+from spiral.types.port import At, varied_key
 from spiral.types.system import System, has_coordinates
 
 _IN_LINE = 3  # at most so many effects on one input act one after the other
@@ -131,17 +135,6 @@ def _jacobian(values: tuple[sp.Expr, ...], symbols: tuple[sp.Symbol, ...]) -> sp
     return sp.Matrix(values).jacobian(list(symbols))
 
 
-@dataclass(frozen=True)
-class _PlacedEffect:
-    """An effect at its port with the symbols it sees."""
-
-    effect: Effect
-    port: Port
-    at: At
-    p: SimpleNamespace
-    jacobian: sp.Matrix | None
-
-
 @kept(128)
 def trace(
     system: System, effects: tuple[Effect, ...], phase_shift: tuple[float, ...] = ()
@@ -169,9 +162,9 @@ def trace(
     p, placed = _place_effects(system, effects, x, inputs, states, symbols)
     u, placed = _apply_actuators(placed, inputs)
     seen = [_shift_phase(system.seen(u, p), shift) for shift in shifts]
-    placed = _with_rates_of_states(system, placed, seen, x, u, p)
-    injected = _sum_injections(system, placed, seen, x)
-    rates = _system_rates(system, x, u, p, injected)
+    placed = with_rates_of_states(system, placed, seen, x, u, p)
+    injected = sum_injections(system, placed, seen, x)
+    rates = system_rates(system, x, u, p, injected)
     shown, read = own_readings(system, x, rates, u, p)
     placed = [_with_sensor_motion(item, shown, rates, states) for item in placed]
     for item, view in zip(placed, seen, strict=True):
@@ -196,22 +189,6 @@ def trace(
     )  # fmt: skip
 
 
-def _system_rates(
-    system: System, x: SimpleNamespace, u: SimpleNamespace, p: SimpleNamespace,
-    injected: dict[str, Any],
-) -> dict[str, Any]:  # fmt: skip
-    """The rates of the system's states; an error where one is missing."""
-    rates = call_equation(system, "rate", system.rate, x, u, p, injected)
-    lost = [s.name for s in system.states if s.name not in rates]
-    if lost:
-        raise PluginError(
-            f"rate of system {system.plugin_name()!r} without {', '.join(map(repr, lost))}",
-            f"a rate for each state: {', '.join(s.name for s in system.states)}",
-            "add it to what rate returns",
-        )
-    return rates
-
-
 def _rate_names(system: System) -> tuple[tuple[str, str], ...]:
     """States whose rates have a name of their own, and that name."""
     pairs = ((s.name, system.rate_name(s.name)) for s in system.states)
@@ -230,7 +207,7 @@ def _place_effects(
     inputs: dict[str, sp.Symbol],
     states: dict[str, sp.Symbol],
     symbols: dict[str, sp.Symbol],
-) -> tuple[SimpleNamespace, list[_PlacedEffect]]:
+) -> tuple[SimpleNamespace, list[PlacedEffect]]:
     """The system's parameters as they act, and the effects at their places with theirs.
 
     Places are where the parameters as given put them.
@@ -250,7 +227,7 @@ def _place_effect(
     p: SimpleNamespace,
     states: dict[str, sp.Symbol],
     symbols: dict[str, sp.Symbol],
-) -> _PlacedEffect:
+) -> PlacedEffect:
     port = check_effect(system, effect)
     jacobian = None
     position: tuple[Any, ...] = ()
@@ -280,7 +257,7 @@ def _place_effect(
         axes = tuple(states[f"{effect.label}.{state.name}{s}"] for s in suffixes)
         setattr(own, state.name, axes if state.per_axis else axes[0])
     at = At(position, velocity, own, outside=outside)
-    return _PlacedEffect(effect, port, at, values_for(effect, port.axes, symbols), jacobian)
+    return PlacedEffect(effect, port, at, values_for(effect, port.axes, symbols), jacobian)
 
 
 def _system_parameters(system: System, values: Mapping[str, Any]) -> SimpleNamespace:
@@ -289,7 +266,7 @@ def _system_parameters(system: System, values: Mapping[str, Any]) -> SimpleNames
 
 
 def _vary_parameters(
-    placed: list[_PlacedEffect], symbols: dict[str, sp.Symbol], inputs: dict[str, sp.Symbol]
+    placed: list[PlacedEffect], symbols: dict[str, sp.Symbol], inputs: dict[str, sp.Symbol]
 ) -> dict[str, Any]:
     """The values that act, by full name: factors of several effects on one parameter multiply.
 
@@ -305,8 +282,8 @@ def _vary_parameters(
 
 
 def _apply_actuators(
-    placed: list[_PlacedEffect], inputs: dict[str, sp.Symbol]
-) -> tuple[SimpleNamespace, list[_PlacedEffect]]:
+    placed: list[PlacedEffect], inputs: dict[str, sp.Symbol]
+) -> tuple[SimpleNamespace, list[PlacedEffect]]:
     """The inputs as the effects of actuators change them, one effect after the other.
 
     More than ``_IN_LINE`` effects on one input (candidates), and those after a piecewise one, act
@@ -326,8 +303,8 @@ def _apply_actuators(
 
 
 def _with_sensor_motion(
-    item: _PlacedEffect, shown: dict[str, Any], rates: dict[str, Any], states: dict[str, sp.Symbol]
-) -> _PlacedEffect:
+    item: PlacedEffect, shown: dict[str, Any], rates: dict[str, Any], states: dict[str, sp.Symbol]
+) -> PlacedEffect:
     """A sensor sees its channels and their rates, in a system of any order.
 
     The rate of a reading that is no state is that of its formula, with the inputs held.
@@ -339,25 +316,6 @@ def _with_sensor_motion(
     velocity = tuple(_total_derivative(value, second) for value in position)
     acceleration = tuple(second.get(v, sp.Integer(0)) for v in velocity)
     return replace(item, at=At(position, velocity, item.at.own, acceleration))
-
-
-def _with_rates_of_states(
-    system: System, placed: list[_PlacedEffect], seen: list[SimpleNamespace], x: SimpleNamespace,
-    u: SimpleNamespace, p: SimpleNamespace,
-) -> list[_PlacedEffect]:  # fmt: skip
-    """Flows that are ``rated`` see the rates that system and seed give their states."""
-    flows = [i for i in placed if isinstance(i.effect, StateFlow) and i.effect.rated]
-    if not flows:
-        return placed
-    own = [(i, v) for i, v in zip(placed, seen, strict=True) if i.effect in system.seed]
-    pushed = _sum_injections(system, [i for i, _ in own], [v for _, v in own], x)
-    rates = _system_rates(system, x, u, p, pushed)
-
-    def with_rates(item: _PlacedEffect) -> _PlacedEffect:
-        velocity = tuple(sp.sympify(rates[name]) for name in item.port.axes)
-        return replace(item, at=replace(item.at, velocity=velocity))
-
-    return [with_rates(i) if i in flows else i for i in placed]
 
 
 def _total_derivative(value: Any, rates: dict[sp.Symbol, sp.Expr]) -> Any:
@@ -373,54 +331,7 @@ def _shift_phase(u: SimpleNamespace, shift: float) -> SimpleNamespace:
     return SimpleNamespace(**{**vars(u), "phase": u.phase + sp.nsimplify(shift / sp.pi) * sp.pi})
 
 
-def _sum_injections(
-    system: System, placed: list[_PlacedEffect], seen: list[SimpleNamespace], x: SimpleNamespace
-) -> dict[str, Any]:
-    total: dict[str, Any] = {i.name: sp.Integer(0) for i in system.injections}
-    for item, u in zip(placed, seen, strict=True):
-        effect = item.effect
-        if isinstance(effect, ForceEffect):
-            force = call_equation(effect, "force", effect.force, item.at, u, item.p)
-            _check_length(effect, "force", force, item.port)
-            assert item.jacobian is not None
-            coordinates = list(total)[: item.jacobian.cols]  # flows into other states come after
-            for j, name in enumerate(coordinates):  # J^T F; most of J is zero or one
-                pairs = zip(item.jacobian.col(j), force, strict=True)
-                total[name] += sum(slope * value for slope, value in pairs if slope)
-        elif isinstance(effect, StateFlow):
-            flows = call_equation(effect, "flow", effect.flow, item.at, u, item.p)
-            _check_length(effect, "flow", flows, item.port)
-            for name, value in zip(item.port.axes, flows, strict=True):
-                total[name] += value
-        elif isinstance(effect, FlowEffect):
-            levels = _states_with_own(x, item.at)
-            for name, value in call_equation(
-                effect, "flow", effect.flow, levels, u, item.p
-            ).items():
-                if name not in total:
-                    raise PluginError(
-                        f"effect {effect.label!r} with a flow into {name!r}",
-                        f"one of the channels {', '.join(total)}",
-                        did_you_mean(name, total),
-                    )
-                total[name] += value
-    return total
-
-
-def _states_with_own(x: SimpleNamespace, at: At) -> SimpleNamespace:
-    """The system's states as a flow sees them: with the effect's own under ``own``."""
-    return SimpleNamespace(**vars(x), own=at.own)
-
-
-def _check_length(effect: Effect, what: str, values: list[Any], port: Port) -> None:
-    if len(values) != len(port.axes):
-        raise PluginError(
-            f"{what} of effect {effect.label!r} with {len(values)} values",
-            f"{len(port.axes)} values, one for each axis of port {port.name!r}",
-        )
-
-
-def _own_rates(item: _PlacedEffect, u: SimpleNamespace) -> dict[str, Any]:
+def _own_rates(item: PlacedEffect, u: SimpleNamespace) -> dict[str, Any]:
     effect = item.effect
     if not effect.states:
         return {}
@@ -440,7 +351,7 @@ def _own_rates(item: _PlacedEffect, u: SimpleNamespace) -> dict[str, Any]:
 
 
 def _apply_sensors(
-    system: System, placed: list[_PlacedEffect], seen: list[SimpleNamespace], shown: dict[str, Any]
+    system: System, placed: list[PlacedEffect], seen: list[SimpleNamespace], shown: dict[str, Any]
 ) -> list[sp.Expr]:
     """Expressions of the channels behind the effects of sensors, applied one after the other.
 

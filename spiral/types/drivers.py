@@ -1,4 +1,4 @@
-"""Ports of what a driver adds where a system gives it no path: an input, or a state.
+"""Ports of what a driver adds where a system gives it no path, and of paths that it has.
 
 The system is asked for its rates at numbers (``spiral.types.probing``).
 """
@@ -15,12 +15,22 @@ from spiral.types.cache import kept
 from spiral.types.port import Port
 from spiral.types.probing import LIKE, ProbedSystem, is_same, moved, random_point
 
+NEEDED = {
+    "input": "a state on which no input acts",
+    "state": "a state on which no state acts",
+    "path": "a state on which another one acts",
+}
+"""What an effect with a driver needs of a system, by its kind."""
 
-def uncoupled_ports(
+
+def driven_ports(
     system: ProbedSystem, given: Mapping[str, str], moving: Mapping[str, str],
     barred: Collection[str],
 ) -> dict[str, tuple[Port, ...]]:  # fmt: skip
-    """By kind of driver, ``input`` or ``state``: ports ``NAME by VARIABLE``.
+    """By kind of driver, ``input``, ``state`` or ``path``: ports ``NAME by VARIABLE``.
+
+    A path is one that the system gives a state to another: to one of first order, or to a single
+    coordinate. Two coordinates and their rates are joined by forces, and no path.
 
     Parameters
     ----------
@@ -33,8 +43,19 @@ def uncoupled_ports(
     free = [(n, v) for n in own for v in paths if n not in paths[v]]
     fed = [pair for pair in free if pair[1] in given]
     other = [(n, v) for n, v in free if v in units and units[n] != units[v]]
-    coupled = [pair for pair in other if not {*pair} <= {*moving, *moving.values()}]
-    return {"input": _ports(fed, given, own), "state": _ports(coupled, units, own)}
+    tied = {*moving, *moving.values()}
+    coupled = [pair for pair in other if not {*pair} <= tied]
+    reached = _rates_reached(system, tuple(units))
+    joined = [
+        (n, v) for n in own for v in units
+        if v != n and moving.get(n, n) in reached[v] and not {n, v} <= tied
+        and (n not in moving or paths[v] == {n})
+    ]  # fmt: skip
+    return {
+        "input": _ports(fed, given, own),
+        "state": _ports(coupled, units, own),
+        "path": _ports(joined, units, own),
+    }
 
 
 def cross_read_ports(
@@ -92,6 +113,23 @@ def _paths_of(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, fro
     return {
         n: frozenset(_made_of(np.where(entered, part, 0.0) if n in states else part, gains, names))
         for n, part in parts.items()
+    }
+
+
+@kept(64)
+def _rates_reached(system: ProbedSystem, states: tuple[str, ...]) -> dict[str, frozenset[str]]:
+    """By state: those whose rates change with it; none where the equations cannot be evaluated."""
+    try:
+        x, u, p = random_point(system)
+        nothing = {i.name: 0.0 for i in system.injections}
+        here = _rate_vector(system, x, u, p, nothing)
+        there = {n: _rate_vector(system, moved(x, (n,)), u, p, nothing) for n in states}
+    except Exception:
+        return dict.fromkeys(states, frozenset())
+    names = [s.name for s in system.states]
+    return {
+        n: frozenset(m for m, changed in zip(names, rates != here, strict=True) if changed)
+        for n, rates in there.items()
     }
 
 

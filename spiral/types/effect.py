@@ -151,7 +151,8 @@ class StateFlow(Effect):
     measured, the drag of what flows into a tank; ``"only"`` there. One whose ``driver`` is an
     ``"input"`` (or a ``"state"`` of another unit) acts where the system gives that no path: its
     port is what it acts on, a coordinate too, and its driver, ``NAME-INPUT``; ``position`` is the
-    driver and its unit.
+    driver and its unit. A ``"path"`` is one that the system does give a state to another: there
+    ``at.along_path(z)`` is the change of what flows in where the driver is replaced by z.
     One that is ``rated`` sees as ``at.velocity`` the rates that the system and its seed give the
     states of its port.
     """
@@ -160,7 +161,7 @@ class StateFlow(Effect):
     rated: ClassVar[bool] = False
     units: ClassVar[tuple[str, ...]] = ()
     differences: ClassVar[bool | Literal["only"]] = False
-    driver: ClassVar[Literal["", "input", "state"]] = ""
+    driver: ClassVar[Literal["", "input", "state", "path"]] = ""
 
     @abstractmethod
     def flow(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> list[Any]:
@@ -187,6 +188,11 @@ class ParameterEffect(Effect):
 def is_other_value(effect: object) -> TypeGuard[ParameterEffect]:
     """Whether an effect is that a known parameter has another value than was given."""
     return isinstance(effect, ParameterEffect) and effect.steady
+
+
+def is_path(effect: object) -> TypeGuard[StateFlow]:
+    """Whether an effect changes how a state acts on another."""
+    return isinstance(effect, StateFlow) and effect.driver == "path"
 
 
 class FlowEffect(Effect):

@@ -53,6 +53,8 @@ class Parameter:
     loose : one of many coefficients of a curve, some of which a record may hardly determine: its
         prior has mean zero and the standard deviation with which, where it is seen best, it alone
         would make the whole response.
+    choice : of a shape with a grid, it is one of these values and nothing between (where the zero
+        of a unit lies): no fit frees it.
     search : each value of a grid of frequencies moves, by at most this share of it, to the
         strongest spectral line of the records' channels.
     spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
@@ -74,6 +76,7 @@ class Parameter:
     loose: bool = False
     most: float | None = None
     centre: bool = False
+    choice: bool = False
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

@@ -48,7 +48,8 @@ class At:
     A sensor sees its channels and their rates. ``acceleration`` is the rate of these rates, zero
     for a channel whose rate is no state of the system (it would need the inputs' rates), and empty
     where an effect is asked for its leading order alone. ``outside`` is what the ``position`` of a
-    flow counts from, where it does.
+    flow counts from, where it does. ``along_path(value)`` is what would flow in beside what does,
+    if the driver of a ``path`` had that value; zero for its own.
     """
 
     position: tuple[Any, ...]
@@ -56,6 +57,7 @@ class At:
     own: SimpleNamespace
     acceleration: tuple[Any, ...] = ()
     outside: Any = 0.0
+    along_path: Callable[[Any], Any] = lambda value: 0.0
 
 
 def place_name(port: Port) -> str:

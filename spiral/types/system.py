@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeGuard
 from spiral.types.accelerations import solve_accelerations
 from spiral.types.cache import kept
 from spiral.types.display import Summary
-from spiral.types.drivers import cross_read_ports, uncoupled_ports
+from spiral.types.drivers import NEEDED, cross_read_ports, driven_ports
 from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect, StateFlow
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.parameter import Input, Parameter, State
@@ -281,21 +281,22 @@ class System(Plugin):
 
     @property
     @kept(32)
-    def uncoupled(self) -> Mapping[str, tuple[Port, ...]]:
+    def by_driver(self) -> Mapping[str, tuple[Port, ...]]:
         """Ports for what an ``input``, or a ``state``, adds where the system gives it no path.
 
         Such a port is called ``NAME by VARIABLE``: any coordinate that is a port or state that
-        effects may flow into, by an input that no other follows, or a state of another unit.
+        effects may flow into, by an input that no other follows, or a state of another unit. Those
+        of a ``path`` are of a state that acts on another.
         """
         barred = {*_moving(self)}
         if has_coordinates(self):
             barred -= {*_plain_ports(self).values()}
-        return uncoupled_ports(self, _free_inputs(self), _moving(self), barred)
+        return driven_ports(self, _free_inputs(self), _moving(self), barred)
 
     def places_for_flow(self, effect: StateFlow) -> tuple[Port, ...]:
         """The ports at which a flow of this kind may act."""
         if effect.driver:
-            return self.uncoupled[effect.driver]
+            return self.by_driver[effect.driver]
         return tuple(
             port
             for port in self.filled
@@ -341,8 +342,7 @@ class System(Plugin):
         if isinstance(effect, StateFlow):
             fit = list(self.places_for_flow(effect))
             fit.sort(key=lambda port: bool(effect.units) and port.position_unit not in effect.units)
-            due = "a state of first order for each axis"
-            due = f"a state on which no {effect.driver} acts" if effect.driver else due
+            due = NEEDED.get(effect.driver, "a state of first order for each axis")
             return self._place_of(effect, tuple(fit), "which flows into a state", due)
         return self.port(effect.port)
 

@@ -372,7 +372,8 @@ def _evaluate_effect(system: System, effect: Effect, port: Port) -> list[tuple[s
     acceleration = tuple(quantity(per_second(unit, 2)) for _ in range(count))
     own, p = (_quantities_at(port, items) for items in (effect.states, effect.parameters))
     u = _input_quantities(system)
-    at = At(position, velocity, own, acceleration, quantity(unit, 1.75))
+    into = quantity(port.force_unit)
+    at = At(position, velocity, own, acceleration, quantity(unit, 1.75), lambda value: into)
     values = [(f"rate {k} of effect", v, unit) for k, v, unit in _own_rates(effect, port, at, u, p)]
     if isinstance(effect, ForceEffect):
         values += [("effect", value, port.force_unit) for value in effect.force(at, u, p)]

@@ -121,11 +121,11 @@ def heated(current=0.0, field=0.0, seed=0):
 
 
 def test_drivers_are_those_that_the_equations_give_no_path():
-    assert [place_name(p) for p in motor().uncoupled["input"]] == ["i-load", "w-V"]
-    assert [place_name(p) for p in motor().uncoupled["state"]] == ["i-w"]
+    assert [place_name(p) for p in motor().by_driver["input"]] == ["i-load", "w-V"]
+    assert [place_name(p) for p in motor().by_driver["state"]] == ["i-w"]
     read = [place_name(p) for p in motor().cross_read]
     assert read == ["i-V", "i-load", "i-w", "w-V", "w-load", "w-i"]
-    assert [place_name(p) for p in body().uncoupled["input"]] == ["T-sun"]
+    assert [place_name(p) for p in body().by_driver["input"]] == ["T-sun"]
 
 
 def test_a_path_that_the_model_has_is_no_place_for_another():
@@ -141,8 +141,8 @@ def test_a_spring_is_no_driver_of_the_mass_at_its_other_end():
         states={"a": "m", "v": "m/s", "b": "m", "w": "m/s"}, inputs={"F": "N"},
         parameters={"m": (1.0, "kg"), "k": (50.0, "N/m")}, observed=["a", "b"],
     )  # fmt: skip
-    assert [place_name(p) for p in system.uncoupled["input"]] == ["b-F"]
-    assert system.uncoupled["state"] == ()
+    assert [place_name(p) for p in system.by_driver["input"]] == ["b-F"]
+    assert system.by_driver["state"] == ()
     assert [place_name(p) for p in system.cross_read] == ["a-F", "a-b", "b-F", "b-a"]
 
 

@@ -131,3 +131,35 @@ def test_radiation_to_a_sky_that_changes_is_named_with_its_size():
     assert run.missing == ("radiation_exchange@T-Ta",)
     key = "radiation_exchange@T-Ta.rate"
     assert abs(run.model.values[key] - 9e-8 / 6e4) < 3 * run.model.errors[key]
+
+
+def furnace():
+    return spiral.system(
+        ["Ce*Te' = P - h*(Te - Tw) - g*(Te - To)", "Cw*Tw' = h*(Te - Tw)"],
+        states={"Te": "K", "Tw": "K"}, inputs={"P": "W", "To": "K"},
+        parameters={"Ce": "45 kJ/K", "Cw": "110 kJ/K", "h": "17 W/K", "g": "6 W/K"},
+        free=["h", "g"], observed=["Te"],
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_radiation_between_a_muffle_and_its_ware_is_named_with_its_size():
+    """One emissivity times area, 6.8e-9 W/K^4; the ware's temperature has no sensor."""
+    rng, time, true = np.random.default_rng(5), 40.0 * np.arange(1500), 6.8e-9
+    power = np.repeat(rng.uniform(0, 12e3, 50), 30)
+    outside = 293 + 5 * np.sin(time / 9000)
+    states = [np.array([500.0, 480.0])]
+    for w, o in zip(power[:-1], outside[:-1], strict=True):
+
+        def rate(_, x, w=w, o=o):
+            through = 14.0 * (x[0] - x[1]) + true * (x[0] ** 4 - x[1] ** 4)
+            return [(w - through - 7.0 * (x[0] - o)) / 45e3, through / 110e3]
+
+        states.append(solve_ivp(rate, (0, 40.0), states[-1], rtol=1e-9, atol=1e-9).y[:, -1])
+    read = np.array(states)[:, 0] + rng.normal(size=1500)
+    inputs = {"P": power, "To": outside}
+    record = make_record(furnace(), "furnace", time, {"Te": read}, inputs, hold="zero_order")
+    run = spiral.discover(record, furnace(), holdout=0.3)
+    assert run.missing == ("mutual_radiation@Te-Tw",)
+    key = "mutual_radiation@Te-Tw.rate_Te"
+    assert run.model.values[key] == pytest.approx(true / 45e3, abs=3 * run.model.errors[key])

@@ -151,3 +151,17 @@ def test_a_slow_flow_beside_a_model_without_forces_may_be_a_state_that_it_lacks(
         assert "a state that the model lacks" not in verdict_sentence(
             "unknown_structure", other, SETTINGS
         )
+
+
+@pytest.mark.parametrize(("fitted", "verdict"), [
+    (0.034, "effect_missing"), (0.025, "unknown_structure"),
+])  # fmt: skip
+def test_where_a_test_hardly_moves_the_fitted_records_tell(fitted, verdict):
+    """Its error of 7 % is mostly noise, before and after; that of the fit falls to 2 %."""
+    near = (Horizon("one_sample", 1, 0.1, {"x": (0.0025,) * 5}), ahead(0.05))
+    seed = replace(POOR, fit_error=fitted, test_error=0.073, noise_floor=0.052, unseen=near)
+    last = replace(GOOD, test_error=0.074, noise_floor=0.052, random={"force.observed": 0.03},
+                   disturbed=0.05, unseen=near)  # fmt: skip
+    given, words, _ = said(rounds(last, seed), "whiteness")
+    assert given == verdict
+    assert ("of the record that was fitted 3.40 % -> 2.00 %" in words) == (fitted == 0.034)

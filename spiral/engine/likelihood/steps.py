@@ -27,7 +27,7 @@ def next_damped_step(
     step = damped_solution(upper, sizes, damping)
     if last is None:
         return step, damping
-    with np.errstate(over="ignore"):  # slopes of a model that runs away
+    with np.errstate(over="ignore", invalid="ignore"):  # slopes of a model that runs away
         least = _OTHER * float(np.linalg.norm(sizes * last))
         while np.linalg.norm(sizes * (step - last)) < least and damping < _STRONGEST:
             damping *= strain

@@ -247,7 +247,8 @@ def _candidate_variants(
             continue
         keys = [f"{copy.label}.{p.name}" for p in shapes]
         sizes = {k: value for k, (value, _) in zip(keys, tried, strict=True)}
-        tuned = tuple(k for k, p in zip(keys, shapes, strict=True) if len(p.grid) != 1)
+        free = (len(p.grid) != 1 and not p.choice for p in shapes)
+        tuned = tuple(itertools.compress(keys, free))
         turned = replace(effect, variant=f"{tag}quarter") if companion else None
         searched = int(np.prod([count for _, count in tried]))
         limits = {

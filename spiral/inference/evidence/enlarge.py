@@ -112,7 +112,8 @@ def own_state_variants(assembly: Assembly, labels: tuple[str, ...]) -> tuple[Var
 def make_variant(effect: Effect, tag: str, shapes: dict[str, float], searched: int = 1) -> Variant:
     """A copy of an effect with its shapes by name, all of which a refit may set free."""
     copy = replace(effect, variant=tag)
-    loose = [p for p in effect.parameters if p.role == "shape" and (p.spectrum or p.grid)]
+    known = (p for p in effect.parameters if p.role == "shape" and not p.choice)
+    loose = [p for p in known if p.spectrum or p.grid]
     tuned = tuple(f"{copy.label}.{p.name}" for p in loose)
     values = {f"{copy.label}.{name}": value for name, value in shapes.items()}
     return Variant(copy, effect, values, None, tuned, searched)

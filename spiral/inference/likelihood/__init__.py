@@ -14,6 +14,7 @@ Fits of a model:
 
 Candidates:
 ``scores``: scores of all of them, none compiled for it.
+``predicted_motion``: what they are scored along.
 ``candidates``: the race of the best.
 ``judging``: the winner on the blocks that did not select it.
 ``alternative_fits``: candidates tried on other fits of the model.

@@ -441,17 +441,21 @@ def _noise_growth_gain(e: Array, h: Array, from_zero: bool = False) -> tuple[flo
 
 
 def _clock_jitter_gain(estimate: MaximumLikelihood, j: int) -> tuple[float, float]:
-    """Twice the gain of a variance s + (tau dy/dt)^2 over a constant one, and tau in s."""
+    """Twice the gain of a variance s + (tau dy/dt)^2 over a constant one, and tau in s.
+
+    dy/dt is the change of what was predicted since the sample before, which is independent of what
+    is missed at this one: what is predicted after it follows what was read.
+    """
     misses, rates, spread = [], [], []
     for (task, _), part in zip(estimate.prepared, estimate.predictions, strict=True):
         seen = part.spreads[:, j] > 0
         at = np.flatnonzero(seen)
         if len(at) < _FEWEST:
             continue
-        rate = np.gradient(task.series.y[at, j] - part.misses[at, j], at * task.series.dt)
-        misses.append(part.whitened[at, j])
-        rates.append(rate)
-        spread.append(part.spreads[at, j])
+        expected = task.series.y[at, j] - part.misses[at, j]
+        rates.append(np.diff(expected) / np.diff(at * task.series.dt))
+        misses.append(part.whitened[at[1:], j])
+        spread.append(part.spreads[at[1:], j])
     size = float(np.sqrt(np.mean(np.concatenate(rates) ** 2))) if rates else 0.0
     if not 0 < size < np.inf:
         return 0.0, 0.0

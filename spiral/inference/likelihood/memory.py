@@ -47,7 +47,8 @@ from spiral.inference.likelihood.fitting import (
     largest_force,
 )
 from spiral.inference.likelihood.judging import maximise_on_blocks
-from spiral.inference.likelihood.scores import FilteredRecords, predicted_motion, rank_variants
+from spiral.inference.likelihood.predicted_motion import predicted_motion
+from spiral.inference.likelihood.scores import FilteredRecords, rank_variants
 from spiral.inference.problem import Progress
 from spiral.inference.unknown.memory import Kind, Loop, Memory
 from spiral.physics.memory_forces import (

@@ -12,7 +12,7 @@ into what each explains, and the largest peaks, refined, are candidates like all
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +23,8 @@ from spiral.engine.likelihood.autoregression import Autoregression, fit_autoregr
 from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.likelihood.own_states import arrange_own_states, own_states_along
 from spiral.engine.likelihood.predict import Masks, Prediction, predict_readings
-from spiral.engine.likelihood.rates import rates_and_readings_along
 from spiral.engine.score import build_score_table, residual_block_samples
 from spiral.engine.sensitivities import Reduction
-from spiral.engine.series import sample_inputs
 from spiral.inference.evidence.assembly import Assembly, Variant, columns_with_bounds
 from spiral.inference.evidence.enlarge import make_variant
 from spiral.inference.evidence.scoring import (
@@ -46,18 +44,16 @@ from spiral.inference.evidence.spectrum import (
     trial_frequencies,
 )
 from spiral.inference.likelihood.fitting import LikelihoodFit, free_parameters
+from spiral.inference.likelihood.predicted_motion import predicted_motion
 from spiral.physics.signatures import Own, SystemMotion, amplitude_names, signatures
-from spiral.types.effect import Effect, ParameterEffect
+from spiral.types.effect import Effect
 from spiral.types.label import parameter_of
-from spiral.types.placement import input_columns
-from spiral.types.port import varied_key
 from spiral.types.record import Array
 
 _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _STRETCH = 8192  # samples over which a candidate's signature is evaluated at once
 _HUGE = 1e60  # a slope from which one is no number: own states that run away
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
-_STEP = 1e-5  # of an input's largest value, or a parameter, for the slopes of the rates by it
 _FINE = (np.linspace(-0.8, 0.8, 5), np.linspace(-0.3, 0.3, 5))  # steps around a peak
 
 
@@ -123,9 +119,8 @@ def _filter_records(
     if not all(p.whole and np.all(np.isfinite(p.slopes)) for p in parts):
         return None
     tasks = tuple(task for task, _ in prepared)
-    varied = _varied_keys(assembly)
     pairs = zip(tasks, parts, strict=True)
-    motions = tuple(predicted_motion(assembly, t, p, varied) for t, p in pairs)
+    motions = tuple(predicted_motion(assembly, t, p) for t, p in pairs)
     block = residual_block_samples(tuple(p.whitened for p in parts))
     return FilteredRecords(assembly, active, tasks, parts, motions, masks, block)
 
@@ -302,62 +297,6 @@ def _batch_slopes(
             pushes, readings, slopes, 0.5 * task.series.dt, by_amplitude[first:last],
         )  # fmt: skip
     return by_amplitude
-
-
-def predicted_motion(
-    assembly: Assembly, task: FilterInput, part: Prediction, varied: Collection[str] = ()
-) -> SystemMotion:
-    """The motion that the filter predicts: states of the system, rates and readings of the model.
-
-    ``varied`` are parameters (full names) that are asked whether they vary.
-
-    It is that before each sample's readings: the updated one contains their noise, which scores
-    would attribute to sensor effects.
-    """
-    system = assembly.problem.model.system
-    n, substeps = len(system.states), task.series.substeps
-    inputs, read = sample_inputs(task.inputs, substeps), task.inputs[:: 3 * substeps]
-    rows = np.ascontiguousarray(part.expected[:, : len(task.states)])
-
-    def evaluate_model(u: Array | float, p: Array) -> tuple[Array, Array]:
-        rates, readings = rates_and_readings_along(task.compiled, rows, inputs + u, read + u, p)
-        return rates[:, :n], readings
-
-    def slopes(u: Array | float, p: Array | float, step: float) -> tuple[Array, Array]:
-        ends = (evaluate_model(s * u, task.values + s * p) for s in (1.0, -1.0))
-        more, told = ((a - b) / (2 * step) for a, b in zip(*ends, strict=True))
-        return more, told
-
-    rates, readings = evaluate_model(0.0, task.values)
-    by_input = {}
-    for port in system.driven:
-        place = input_columns(system).index(port.axes[0])
-        step = _STEP * (float(np.abs(inputs[:, place]).max()) or 1.0)
-        by_input[port.axes[0]] = slopes(_one_step(inputs.shape[1], place, step), 0.0, step)
-    by_parameter = {}
-    for key in {*varied} & {*task.keys}:  # by the logarithm
-        at = task.keys.index(key)
-        change = _STEP * float(task.values[at])
-        by_parameter[key] = slopes(0.0, _one_step(len(task.values), at, change), _STEP)
-    known = dict(zip(task.keys, map(float, task.values), strict=True))
-    values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
-    moved = np.gradient(readings, task.series.dt, axis=0) if system.readings else None
-    return SystemMotion(
-        system, rows[:, :n], inputs, rates, readings, values, by_input, by_parameter, moved
-    )
-
-
-def _varied_keys(assembly: Assembly) -> set[str]:
-    """The parameters (full names) that effects offered change with a variable."""
-    system, offered = assembly.problem.model.system, (v.original for v in assembly.offered)
-    return {varied_key(system.place(e)) for e in offered if isinstance(e, ParameterEffect)}
-
-
-def _one_step(count: int, place: int, step: float) -> Array:
-    """(count,) a step at one place, zero elsewhere."""
-    steps = np.zeros(count)
-    steps[place] = step
-    return steps
 
 
 def _signature_columns(

@@ -108,6 +108,7 @@ def held_shapes(assembly: Assembly, fit: LikelihoodFit, effect: Effect) -> tuple
         k
         for p in effect.parameters
         if p.role == "shape"
+        and not p.choice
         and (k := f"{effect.label}.{p.name}") not in fit.state.freed
         and fit.state.values[0, assembly.study.index(k)] != 0
     )

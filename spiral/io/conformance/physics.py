@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spiral.physics.starts import fill_declared_starts
-from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect
+from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect, is_path
 from spiral.types.errors import PluginError, did_you_mean
 from spiral.types.fields import field_names
 from spiral.types.label import parameter_of
@@ -312,12 +312,12 @@ def check_finite_values(physics: Physics) -> str:
 def check_linearity(effect: Effect, physics: Physics) -> str:
     """f(2a) - f(0) = 2 (f(a) - f(0)) in the amplitudes a, which change something.
 
-    A reading, what acts of an input, a parameter's change are asked at small amplitudes: terms
-    beyond leading order are small against the largest effect on a value. Shapes are smaller where
-    the drawn motion does not reach them (a limit).
+    A reading, what acts of an input or along a path, a parameter's change are asked at small
+    amplitudes: terms beyond leading order are small against the largest effect on a value. Shapes
+    are smaller where the drawn motion does not reach them (a limit).
     """
     own = physics.amplitudes(effect)
-    bent = isinstance(effect, SensorEffect | InputEffect | ParameterEffect)
+    bent = isinstance(effect, SensorEffect | InputEffect | ParameterEffect) or is_path(effect)
     sizes, share = ((_SMALL, 0.1 * _SMALL), np.sqrt(_SMALL)) if bent else ((1.0,), _EXACT)
     missed = 0.0
     for size in sizes:

@@ -14,6 +14,7 @@ from spiral.inference.nearness import (
     is_residual_white,
     leaves_less_than_noise,
     takes_little,
+    takes_most,
     unexplained_error_growth,
 )
 from spiral.inference.problem import Settings
@@ -108,12 +109,17 @@ def _leaves_free_run(before: Comparison, after: Comparison, settings: Settings) 
 def refuse_growing_error(
     before: Comparison, after: Comparison, settings: Settings
 ) -> Refusal | None:
-    """Refuse a model whose error on unseen data grows by more than chance and noise excuse."""
+    """Refuse a model whose error on unseen data grows by more than chance and noise excuse.
+
+    That it ``grows`` by its values is not said where more than half of the squared error of free
+    runs of the fitted records is gone: then the noise model beside them may be what is wrong.
+    """
     worse = unexplained_error_growth(before, after, settings)
     if worse is None:
         return None
     said = f"{worse.horizon}: {100 * worse.before:.3g} -> {100 * worse.after:.3g} %"
-    return Refusal(f"the error on unseen data grows ({said})", alone=True, grows=True)
+    grows = not takes_most(before.fit_error, after.fit_error)
+    return Refusal(f"the error on unseen data grows ({said})", alone=True, grows=grows)
 
 
 def _is_answer_to_noise(before: Comparison, after: Comparison, settings: Settings) -> bool:
