@@ -86,8 +86,10 @@ def first_to_pass(
     """
     rejected = dict(before.rejected)
     worths: dict[str, float] = {}
+    fitted_worths: dict[str, float] = {}
     likely: AcceptedCandidate | None = None
     refused, instead = list(before.refused), before.instead
+    fitted = RaceOutcome(None, rejected, worths=fitted_worths)
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     unasked = _unasked(_meaningful(race, rejected), before, rejected, worths)
     for rival, rivals in itertools.islice(unasked, options.judged):
@@ -100,9 +102,10 @@ def first_to_pass(
         if twin := untold_twin(base, rival, race.masks):
             rejected[rival.label] = f"in place of {twin} it explains as much: one of the two acts"
             continue
-        chosen, near = simplest_rival(rival, indistinguishable_rivals(rivals, options.odds), rivals)
-        if _within_tolerances(chosen, race.tolerances):
-            chosen, near = rival, tuple(x for x in near if x != rival.label)
+        chosen, near = _simplest_that_counts(options, race, rival, rivals)
+        if chosen is not rival and (same := fitted.reason_for(chosen)):
+            rejected[rival.label] = same  # it is not told apart from what was refused
+            continue
         aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
         passed, refusal = _fit_and_ask(chosen, aliases, objection, progress)
@@ -111,9 +114,23 @@ def first_to_pass(
         if instead is None and chosen.label in passed.whole.refitted.retired:
             instead = passed.whole.refitted
         rejected[chosen.label], worths[chosen.label] = refusal.reason, chosen.worth
+        fitted_worths[chosen.label] = chosen.worth
         refused.append(chosen.label)
         likely = likely or (passed if refusal.alone else None)
     return RaceOutcome(None, rejected, likely, worths, tuple(refused), instead)
+
+
+def _simplest_that_counts(
+    options: LikelihoodOptions, race: Race, rival: Rival, rivals: list[Rival]
+) -> tuple[Rival, tuple[str, ...]]:
+    """The simplest rival that is not told apart from a winner, and the labels of the others.
+
+    The winner itself, where that one is no more than known values that are a little off.
+    """
+    chosen, near = simplest_rival(rival, indistinguishable_rivals(rivals, options.odds), rivals)
+    if not _within_tolerances(chosen, race.tolerances):
+        return chosen, near
+    return rival, tuple(x for x in near if x != rival.label)
 
 
 def _unasked(
