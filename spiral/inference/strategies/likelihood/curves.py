@@ -4,6 +4,10 @@ Where no effect with a name explains what is left, every curve (``spiral.physics
 every place is scored, refitted and judged as candidates with names are, each of its coefficients
 at Schwarz's penalty. Effects that were admitted may only have stood in for a curve, so that curves
 are tried in their place as well, beside the seed alone.
+
+A model that lacks a curve may have come to values from which none makes much more likely (two
+stores that have changed places). So the leading curves are also fitted afresh: flat, from the
+values given, from the several starts that a seed has.
 """
 
 from __future__ import annotations
@@ -11,7 +15,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +25,7 @@ from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import CandidateColumns, Ranking
-from spiral.inference.likelihood.candidates import Race
+from spiral.inference.likelihood.candidates import Race, Rival, make_rival
 from spiral.inference.likelihood.fitting import (
     LEVEL,
     WARM,
@@ -31,10 +34,10 @@ from spiral.inference.likelihood.fitting import (
     is_random_force_small,
     schwarz_penalty,
 )
-from spiral.inference.likelihood.seed_fit import with_given_values
+from spiral.inference.likelihood.seed_fit import best_fit, with_given_values
 from spiral.inference.likelihood.suggestions import suggestions
 from spiral.inference.nearness import is_near_noise
-from spiral.inference.problem import Progress
+from spiral.inference.problem import Progress, silent
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.accepted import (
     AcceptedCandidate,
@@ -97,34 +100,23 @@ def find_missing_curve(
     helps = benefit_objection(options, comparison, assembly.problem.settings)
     curves = (e for e in changes.beside(base) if e.bare)  # of parameters where they score best
     assembly = offer_effects(assembly, (*assembly.problem.dictionary, *curves))
+    search = _CurveSearch(options, assembly, masks, level, helps, progress)
     alone = _fit_seed_alone(assembly, base.state, masks[0])
-    passing = None
-    if alone is not None:
-        ahead = _lead_of_model(base, alone, options.odds)
-        passing = _find_passing_curve(
-            options, assembly, alone, masks, level, helps, progress, ahead
-        )
-    if passing is not None and not _is_likelier_alone(passing[0], base, options.odds):
-        passing = None
-    gone = () if passing is None else _added_labels(assembly, base.state)
-    replaces = tuple(assembly.variant(x).original.label for x in gone)
-    for start in (
-        ()
-        if passing is not None or is_random_force_small(base)
-        else _restart_from_first_noise(assembly, base, masks[0])
-    ):
-        ahead = _lead_of_model(base, start, options.odds)
-        other = _find_passing_curve(options, assembly, start, masks, level, helps, progress, ahead)
-        if (
-            other is not None
-            and _is_likelier_alone(other[0], base, options.odds)
-            and _is_more_likely(other, passing)
-        ):
-            passing = other
+    passing = instead = None if alone is None else search.in_place_of(base, alone)
+    if passing is None and not is_random_force_small(base):
+        starts = _restart_from_first_noise(assembly, base, masks[0])
+        others = [p for p in (search.in_place_of(base, s) for s in starts) if p is not None]
+        passing = max(others, key=lambda p: p[0].whole.fit.log_likelihood, default=None)
+    if passing is None and alone is not None:
+        passing = instead = search.in_place_of(base, alone, afresh=True)
     if passing is None:
-        passing = _find_passing_curve(options, assembly, base, masks, level, helps, progress)
+        passing = search.beside(base)
+    if passing is None and alone is None:
+        passing = search.beside(base, afresh=True)
     if passing is None:
         return None
+    gone = () if instead is None else _added_labels(assembly, base.state)
+    replaces = tuple(assembly.variant(x).original.label for x in gone)
     return replace(_missing_curve(passing, helps, progress), replaces=replaces)
 
 
@@ -159,7 +151,8 @@ def find_equal_curve(
         near = is_near_noise(told, settings)
         return None if near and whole.fit.log_likelihood >= least else Refusal("it explains less")
 
-    passing = _find_passing_curve(options, assembly, start, masks, level, objection, progress)
+    search = _CurveSearch(options, assembly, masks, level, objection, progress)
+    passing = search.beside(start)
     if passing is None:
         return None
     curve = _missing_curve(passing, objection, progress)
@@ -167,7 +160,7 @@ def find_equal_curve(
 
 
 def _missing_curve(
-    passing: tuple[AcceptedCandidate, tuple[Race, Ranking]], objection: Objection,
+    passing: Passing, objection: Objection,
     progress: Progress,
 ) -> MissingCurve:  # fmt: skip
     """A curve that passed, on as many knots as are worth their penalty, and its shape.
@@ -184,40 +177,84 @@ def _missing_curve(
     return MissingCurve(describe_curve(_as_curve_fit(whole, own), label, listed), whole.refitted)
 
 
-def _find_passing_curve(
-    options: LikelihoodOptions, assembly: Assembly, start: LikelihoodFit,
-    masks: tuple[Masks, Masks], level: float, objection: Objection, progress: Progress,
-    ahead: float = 0.0,
-) -> tuple[AcceptedCandidate, tuple[Race, Ranking]] | None:  # fmt: skip
-    """The curve that comes first beside a model and passes, with its race.
-
-    It has to be worth more than ``ahead``, by which the model that it would replace leads. In place
-    of a change of a parameter a force or a flow that is not told from it.
-    """
-    parts = functools.partial(_coefficient_columns, assembly)
-    if not start.estimate.finite:
-        return None
-    contest = race_offered(assembly, start, masks[0], progress, _MOST, parts)
-    if contest is None:
-        return None
-    passed = first_to_pass(
-        options, assembly, start, contest[0], masks[1], level, objection, progress, ahead
-    ).passed
-    if passed is None:
-        return None
-    plain = tuple(e for e in assembly.problem.dictionary if e.label in passed.aliases)
-    if plain and isinstance(passed.rival.ranked.variant.effect, LearnedParameterChange):
-        alone = offer_effects(assembly, plain)
-        other = _find_passing_curve(options, alone, start, masks, level, objection, progress, ahead)
-        if other is not None:  # a spring's stiffness that follows its own length is a force
-            return other
-    return passed, contest
+Passing = tuple[AcceptedCandidate, tuple[Race, Ranking]]
+"""A curve that passed, with its race."""
 
 
-def _is_more_likely(
-    one: tuple[AcceptedCandidate, Any], other: tuple[AcceptedCandidate, Any] | None
-) -> bool:
-    return other is None or one[0].whole.fit.log_likelihood > other[0].whole.fit.log_likelihood
+@dataclass(frozen=True)
+class _CurveSearch:
+    """Curves that the study offers, beside any model of it; ``masks`` are (select, judge)."""
+
+    options: LikelihoodOptions
+    assembly: Assembly
+    masks: tuple[Masks, Masks]
+    level: float
+    objection: Objection
+    progress: Progress
+
+    def in_place_of(
+        self, base: LikelihoodFit, start: LikelihoodFit, afresh: bool = False
+    ) -> Passing | None:
+        """The curve that comes first beside ``start`` and makes more likely than ``base`` is."""
+        ahead = _lead_of_model(base, start, self.options.odds)
+        passing = self.beside(start, ahead, afresh)
+        if passing is None or not _is_likelier_alone(passing[0], base, self.options.odds):
+            return None
+        return passing
+
+    def beside(
+        self, start: LikelihoodFit, ahead: float = 0.0, afresh: bool = False
+    ) -> Passing | None:
+        """The curve that comes first beside a model and passes, with its race.
+
+        It has to be worth more than ``ahead``, by which the model that it would replace leads. In
+        place of a change of a parameter a force or a flow that is not told from it. ``afresh`` :
+        those that lead are fitted anew.
+        """
+        parts = functools.partial(_coefficient_columns, self.assembly)
+        if not start.estimate.finite:
+            return None
+        select, judge = self.masks
+        contest = race_offered(self.assembly, start, select, self.progress, _MOST, parts)
+        if contest is None:
+            return None
+        if afresh:
+            contest = _start_curves_afresh(*contest, self.progress)
+        passed = first_to_pass(
+            self.options, self.assembly, start, contest[0], judge, self.level, self.objection,
+            self.progress, ahead,
+        ).passed  # fmt: skip
+        if passed is None:
+            return None
+        plain = tuple(e for e in self.assembly.problem.dictionary if e.label in passed.aliases)
+        if plain and isinstance(passed.rival.ranked.variant.effect, LearnedParameterChange):
+            alone = replace(self, assembly=offer_effects(self.assembly, plain))
+            other = alone.beside(start, ahead, afresh)
+            if other is not None:  # a spring's stiffness that follows its own length is a force
+                return other
+        return passed, contest
+
+
+def _start_curves_afresh(race: Race, ranked: Ranking, progress: Progress) -> tuple[Race, Ranking]:
+    """The race with its leading curves fitted anew, those alone."""
+    anew = []
+    for rival in race.runners[:_MOST]:
+        progress(f"starting again with {rival.label}, flat, from the values given")
+        anew.append(_fit_curve_afresh(race, rival))
+    return race.with_only_rivals([r for r in anew if r.fit.estimate.finite]), ranked
+
+
+def _fit_curve_afresh(race: Race, rival: Rival) -> Rival:
+    """A curve fitted from the values given, flat at first, on the knots worth their price."""
+    own, label = rival.assembly, rival.ranked.variant.label
+    state = with_given_values(own, rival.fit.state) or rival.fit.state
+    values, levels = state.values.copy(), _knot_levels(own, own.variant(label))
+    values[:, [own.study.index(key) for key in levels]] = 0.0
+    begun = replace(state, values=values, noise=None, starts=None, spreads=None)
+    whole = _with_worthy_knots(own, best_fit(own, begun, silent), label, silent)
+    fit = fit_by_likelihood(own, whole.state, masks=race.masks, steps=WARM, rough=True)
+    knots = sum(key in levels for key in fit.estimate.keys) - len(rival.ranked.columns)
+    return make_rival(own, race.base, rival.ranked, fit, rival.shapes + max(knots, 0))
 
 
 def _restart_from_first_noise(
@@ -288,21 +325,28 @@ def _refine_knots(whole: WholeRecordFit, label: str, progress: Progress) -> Whol
 
     All are tried: a bump between coarse knots is none of the curves on a few more.
     """
-    levels = _knot_levels(whole.assembly, whole.assembly.variant(label))
-    best = whole.fit
+    best = _with_worthy_knots(whole.assembly, whole.fit, label, progress)
+    if best is whole.fit:
+        return whole
+    return compare_whole_record_fit(whole.assembly, best, whole.refitted.retired, progress)
+
+
+def _with_worthy_knots(
+    own: Assembly, fit: LikelihoodFit, label: str, progress: Progress
+) -> LikelihoodFit:
+    """The fit with its curve on the knots that are worth their penalty."""
+    levels, best = _knot_levels(own, own.variant(label)), fit
     for most in range(1 + max(levels.values())):
         more = {k for k in best.state.held if levels.get(k, most + 1) <= most}
         if not more:
             continue
         progress("trying the curve on more knots")
         held = tuple(k for k in best.state.held if k not in more)
-        again = fit_by_likelihood(whole.assembly, replace(best.state, held=held), rough=True)
+        again = fit_by_likelihood(own, replace(best.state, held=held), rough=True)
         price = schwarz_penalty(len(more), best.estimate.prepared)
         if again.log_likelihood > best.log_likelihood + price:
             best = again
-    if best is whole.fit:
-        return whole
-    return compare_whole_record_fit(whole.assembly, best, whole.refitted.retired, progress)
+    return best
 
 
 def _as_curve_fit(whole: WholeRecordFit, label: str) -> CurveFit:
