@@ -339,10 +339,10 @@ def misfit(effect: Effect, system: System) -> str:
 
 
 _FIRST_ORDER = """
-title: A warm body in a room, two concentrations, a speed, two pressures
-equations: ["body' = k*heating - c*(body - room)", "a' = -c*a", "b' = -c*b", "v' = -c*v",
-  "p' = -c*p", "q' = c*(p - q)"]
-states: {body: K, a: mol/l, b: mol/l, v: m/s, p: Pa, q: Pa}
+title: A warm body and its case in a room, two concentrations, a speed, two pressures
+equations: ["body' = k*heating - c*(body - room)", "case' = -c*(case - room)", "a' = -c*a",
+  "b' = -c*b", "v' = -c*v", "p' = -c*p", "q' = c*(p - q)"]
+states: {body: K, case: K, a: mol/l, b: mol/l, v: m/s, p: Pa, q: Pa}
 inputs: {heating: W, room: K}
 parameters: {k: 0.1 K/J, c: 0.1 1/s}
 observed: [body, a]

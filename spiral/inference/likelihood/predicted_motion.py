@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,12 +21,15 @@ from spiral.types.record import Array
 _STEP = 1e-5  # of an input's largest value, or a parameter, for the slopes of the rates by it
 
 
-def predicted_motion(assembly: Assembly, task: FilterInput, part: Prediction) -> SystemMotion:
+def predicted_motion(
+    assembly: Assembly, task: FilterInput, part: Prediction, varied: Collection[str] = (),
+    driving: Collection[str] = (),
+) -> SystemMotion:  # fmt: skip
     """The motion that the filter predicts: states of the system, rates and readings of the model.
 
     It is that before each sample's readings: the updated one contains their noise, which scores
-    would attribute to sensor effects. Slopes are by each input that an actuator may change, and by
-    the parameters and states of which effects that are offered change what they do.
+    would attribute to sensor effects. Slopes are by each input that an actuator may change, by the
+    parameters ``varied`` and by the states ``driving``.
     """
     system = assembly.problem.model.system
     n, substeps = len(system.states), task.series.substeps
@@ -36,8 +40,8 @@ def predicted_motion(assembly: Assembly, task: FilterInput, part: Prediction) ->
     rates, readings = along.evaluate()
     by_input = {p.axes[0]: along.by_input(input_columns(system).index(p.axes[0]))
                 for p in system.driven}  # fmt: skip
-    by_parameter = {k: along.by_parameter(k) for k in _varied_keys(assembly) & {*task.keys}}
-    by_state = {k: along.by_state(k) for k in _driving_states(assembly) & {*task.states}}
+    by_parameter = {k: along.by_parameter(k) for k in {*varied} & {*task.keys}}
+    by_state = {k: along.by_state(k) for k in {*driving} & {*task.states}}
     known = dict(zip(task.keys, map(float, task.values), strict=True))
     values = {p.name: known[f"system.{p.name}"] for p in system.parameters}
     moved = np.gradient(readings, task.series.dt, axis=0) if system.readings else None
@@ -94,13 +98,13 @@ class _ModelAlong:
         return more, told
 
 
-def _varied_keys(assembly: Assembly) -> set[str]:
+def varied_keys(assembly: Assembly) -> set[str]:
     """The parameters (full names) that effects offered change with a variable."""
     system, offered = assembly.problem.model.system, (v.original for v in assembly.offered)
     return {varied_key(system.place(e)) for e in offered if isinstance(e, ParameterEffect)}
 
 
-def _driving_states(assembly: Assembly) -> set[str]:
+def driving_states(assembly: Assembly) -> set[str]:
     """The states of which effects offered change how they act on others."""
     system = assembly.problem.model.system
     offered = (*(v.original for v in assembly.offered), *assembly.later)

@@ -44,7 +44,11 @@ from spiral.inference.evidence.spectrum import (
     trial_frequencies,
 )
 from spiral.inference.likelihood.fitting import LikelihoodFit, free_parameters
-from spiral.inference.likelihood.predicted_motion import predicted_motion
+from spiral.inference.likelihood.predicted_motion import (
+    driving_states,
+    predicted_motion,
+    varied_keys,
+)
 from spiral.physics.signatures import Own, SystemMotion, amplitude_names, signatures
 from spiral.types.effect import Effect
 from spiral.types.label import parameter_of
@@ -120,7 +124,8 @@ def _filter_records(
         return None
     tasks = tuple(task for task, _ in prepared)
     pairs = zip(tasks, parts, strict=True)
-    motions = tuple(predicted_motion(assembly, t, p) for t, p in pairs)
+    varied, driving = varied_keys(assembly), driving_states(assembly)
+    motions = tuple(predicted_motion(assembly, t, p, varied, driving) for t, p in pairs)
     block = residual_block_samples(tuple(p.whitened for p in parts))
     return FilteredRecords(assembly, active, tasks, parts, motions, masks, block)
 
