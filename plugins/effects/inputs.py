@@ -220,8 +220,9 @@ class InputHysteresis(InputEffect):
 class InputDelay(DelayedValue, InputEffect):
     """An actuator that acts late by T: acting = u(t - T).
 
-    A bus, a controller's cycle, transport in a pipe; with four states (``DelayedValue``). All
-    sensors late by T look the same.
+    A bus, a controller's cycle, transport in a pipe. By four states: Pade's second approximation of
+    T / 2, twice (Baker, Graves-Morris, Pade Approximants), right in phase to (2 pi f T)^5 / 11520
+    at the frequency f. All sensors late by T look the same.
     """
 
     twins = ("delay", "sensor_lag")

@@ -15,9 +15,10 @@ from spiral.types.parameter import Parameter, State
 class PathDelay(DelayedValue, StateFlow):
     """What a state does to another arrives late by T: w = v(t - T).
 
-    A pipe between two vessels, a belt, a nerve, a signal on its way from one part to the next; with
-    four states (``DelayedValue``). Where all that sensors see of the driver comes along this path,
-    and it has one input, a late input looks the same.
+    A pipe between two vessels, a belt, a nerve, a signal on its way from one part to the next. By
+    four states: Pade's second approximation of T / 2, twice (Baker, Graves-Morris, Pade
+    Approximants), right in phase to (2 pi f T)^5 / 11520 at the frequency f. Where all that sensors
+    see of the driver comes along this path, and it has one input, a late input looks the same.
     """
 
     driver = "path"

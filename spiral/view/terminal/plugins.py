@@ -151,8 +151,11 @@ def _print_where_it_acts(console: Console, plugin: type[Effect]) -> None:
         StateFlow: "on states of first order",
     }  # fmt: skip
     if issubclass(plugin, StateFlow) and plugin.driver:
-        path = "another one acts" if plugin.driver == "path" else f"no {plugin.driver} acts"
-        kinds[StateFlow] = f"on a state on which {path}, STATE-VARIABLE"
+        kinds[StateFlow] = (
+            "on a state and another one that acts on it, STATE-OTHER"
+            if plugin.driver == "path"
+            else f"on a state to which the {plugin.driver} has no path, STATE-VARIABLE"
+        )
     if issubclass(plugin, ParameterEffect) and plugin.steady:
         kinds[ParameterEffect] = "on a known parameter"
     if issubclass(plugin, SensorEffect) and plugin.driver:
