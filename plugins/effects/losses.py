@@ -14,6 +14,8 @@ from spiral.math import exp, length, ramp, sqrt, tanh, where
 from spiral.types.effect import StateFlow
 from spiral.types.parameter import Parameter
 
+_ZERO = Parameter("zero", "K", role="shape", grid=(0.0, 293.15), choice=True)  # of a temperature
+
 
 class ConstantFlow(StateFlow):
     """Something that always flows, in or out: x' = ... + f.
@@ -226,7 +228,7 @@ class RadiationLoss(StateFlow):
 
     parameters = (
         Parameter("rate", "force/K^4", lower=0.0),
-        Parameter("zero", "K", role="shape", grid=(0.0, 293.15), choice=True),
+        _ZERO,
         Parameter("room", "K", role="shape", grid=(293.15,)),
     )
 
@@ -246,7 +248,7 @@ class RadiationExchange(StateFlow):
     differences = "only"
     parameters = (
         Parameter("rate", "force/K^4", lower=0.0),
-        Parameter("zero", "K", role="shape", grid=(0.0, 293.15), choice=True),
+        _ZERO,
     )
 
     def flow(self, at, u, p):
@@ -267,7 +269,7 @@ class MutualRadiation(StateFlow):
     special = ("exchange",)
     parameters = (
         Parameter("rate", "force/K^4", lower=0.0, per_axis=True),
-        Parameter("zero", "K", role="shape", grid=(0.0, 293.15), choice=True),
+        _ZERO,
     )
 
     def flow(self, at, u, p):

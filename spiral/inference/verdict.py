@@ -154,16 +154,12 @@ def _explain_little(rounds: Sequence[Round], settings: Settings) -> bool:
         return last.test_error > (1 - settings.smallest) * first.test_error
     if leaves_less_than_noise(last.test_error, last, settings):
         return False
-    if takes_most(first.fit_error, last.fit_error) and not _may_fall(first, last, settings):
+    still = leaves_less_than_noise(first.test_error, last, settings)
+    if still and takes_most(first.fit_error, last.fit_error):
         return False
     fallen = [(c.before, c.after) for c in changes(first.unseen, last.unseen)]
     fallen.append((first.test_error, last.test_error))
     return all(takes_little(before, after) for before, after in fallen)
-
-
-def _may_fall(first: Comparison, last: Comparison, settings: Settings) -> bool:
-    """Whether the error on unseen data was larger at first than noise lets it be."""
-    return not leaves_less_than_noise(first.test_error, last, settings)
 
 
 def _is_replaced_by_curve(rounds: Sequence[Round]) -> bool:

@@ -69,7 +69,7 @@ def with_rates_of_states(
 
     def with_path(item: PlacedEffect) -> PlacedEffect:
         (into,), (driver,) = item.port.axes, item.at.position
-        row = system.rate_name(into) if _is_coordinate(system, into) else into
+        row = state_entered(system, into)
         more = sp.Symbol("pushed", real=True)
         raised = system_rates(system, x, u, p, {**pushed, into: pushed[into] + more})[row]
         gain, rate = sp.diff(raised, more), sp.sympify(rates[row])
@@ -83,8 +83,10 @@ def with_rates_of_states(
     return [with_path(i) if is_path(i.effect) else i for i in placed]
 
 
-def _is_coordinate(system: System, name: str) -> bool:
-    return has_coordinates(system) and name in {c.name for c in system.coordinates}
+def state_entered(system: System, injection: str) -> str:
+    """The state whose rate an injection enters: a force that of its coordinate's rate."""
+    forces = {c.name for c in system.coordinates} if has_coordinates(system) else set()
+    return system.rate_name(injection) if injection in forces else injection
 
 
 def sum_injections(

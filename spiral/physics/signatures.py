@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
+from spiral.physics.injections import state_entered
 from spiral.physics.plugin_calls import call_equation
 from spiral.physics.readings import reading_slopes
 from spiral.physics.system_functions import (
@@ -334,8 +335,7 @@ def _path_along(along: SystemMotion, port: Port) -> Callable[[Any], Any]:
     """What more flows in where the driver of a path has another value, to leading order."""
     (into,), system = port.axes, along.system
     names = [i.name for i in system.injections]
-    forces = [c.name for c in system.coordinates] if has_coordinates(system) else []
-    row = _state_index(system, system.rate_name(into) if into in forces else into)
+    row = _state_index(system, state_entered(system, into))
     gain = along.compute_once("pushed", lambda: _collapse_constant(_injection_gain_along(along)))
     slope = along.by_state[port.against][:, row] / gain[..., row, names.index(into)]
     here = followed_variable(along, port)

@@ -39,13 +39,13 @@ def driven_ports(
     """
     units = {s.name: s.unit for s in system.states}
     own = {i.name: i.unit for i in system.injections if i.name in units and i.name not in barred}
-    paths = _paths_of(system, (*given, *units))
+    variables = (*given, *units)
+    paths, reached = _paths_of(system, variables), _rates_reached(system, variables)
     free = [(n, v) for n in own for v in paths if n not in paths[v]]
     fed = [pair for pair in free if pair[1] in given]
     other = [(n, v) for n, v in free if v in units and units[n] != units[v]]
     tied = {*moving, *moving.values()}
     coupled = [pair for pair in other if not {*pair} <= tied]
-    reached = _rates_reached(system, tuple(units))
     joined = [
         (n, v) for n in own for v in units
         if v != n and moving.get(n, n) in reached[v] and not {n, v} <= tied
@@ -104,9 +104,7 @@ def _paths_of(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, fro
             _rate_vector(system, x, u, p, {**nothing, n: 1.0}) - here for n in names
         ]).T  # fmt: skip
         entered = np.any(gains != 0, axis=1)
-        parts = {
-            n: _rate_vector(system, *_moved_point(x, u, n), p, nothing) - here for n in variables
-        }
+        parts = _parts_of_rates(system, variables)
     except Exception:
         return dict.fromkeys(variables, frozenset(names))
     states = {s.name for s in system.states}
@@ -117,19 +115,24 @@ def _paths_of(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, fro
 
 
 @kept(64)
-def _rates_reached(system: ProbedSystem, states: tuple[str, ...]) -> dict[str, frozenset[str]]:
-    """By state: those whose rates change with it; none where the equations cannot be evaluated."""
+def _parts_of_rates(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, Any]:
+    """By input or state: its part of the rates, r(v + dv) - r(v), without injections."""
+    x, u, p = random_point(system)
+    nothing = {i.name: 0.0 for i in system.injections}
+    here = _rate_vector(system, x, u, p, nothing)
+    return {n: _rate_vector(system, *_moved_point(x, u, n), p, nothing) - here for n in variables}
+
+
+def _rates_reached(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, frozenset[str]]:
+    """By input or state: the states whose rates change with it; none where that is not known."""
     try:
-        x, u, p = random_point(system)
-        nothing = {i.name: 0.0 for i in system.injections}
-        here = _rate_vector(system, x, u, p, nothing)
-        there = {n: _rate_vector(system, moved(x, (n,)), u, p, nothing) for n in states}
+        parts = _parts_of_rates(system, variables)
     except Exception:
-        return dict.fromkeys(states, frozenset())
+        return dict.fromkeys(variables, frozenset())
     names = [s.name for s in system.states]
     return {
-        n: frozenset(m for m, changed in zip(names, rates != here, strict=True) if changed)
-        for n, rates in there.items()
+        n: frozenset(m for m, change in zip(names, part, strict=True) if change)
+        for n, part in parts.items()
     }
 
 

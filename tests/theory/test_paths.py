@@ -6,14 +6,12 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 import spiral
-from spiral.io.registry import load_registry
 from spiral.physics.trace import trace
 from spiral.types.effect import StateFlow
 from spiral.types.model import seed_model
 from spiral.types.port import place_name
 from spiral.types.record import make_record
 
-REGISTRY = load_registry()
 STEP, COUNT, LATE = 2.0, 1500, 14.0
 SEED_VALUES = {"V1": 20.0, "V2": 35.0, "h": 0.1}
 

@@ -35,8 +35,7 @@ def predicted_motion(
     n, substeps = len(system.states), task.series.substeps
     rows = np.ascontiguousarray(part.expected[:, : len(task.states)])
     inputs = sample_inputs(task.inputs, substeps)
-    read = np.ascontiguousarray(task.inputs[:: 3 * substeps])
-    along = _ModelAlong(task, rows, inputs, read)
+    along = _ModelAlong(task, rows, inputs, task.inputs[:: 3 * substeps])
     rates, readings = along.evaluate()
     by_input = {p.axes[0]: along.by_input(input_columns(system).index(p.axes[0]))
                 for p in system.driven}  # fmt: skip

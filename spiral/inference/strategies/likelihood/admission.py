@@ -86,10 +86,9 @@ def first_to_pass(
     """
     rejected = dict(before.rejected)
     worths: dict[str, float] = {}
-    fitted_worths: dict[str, float] = {}
+    fitted: dict[str, float] = {}  # what those were worth that were fitted and refused
     likely: AcceptedCandidate | None = None
     refused, instead = list(before.refused), before.instead
-    fitted = RaceOutcome(None, rejected, worths=fitted_worths)
     ours = functools.cache(lambda: fit_on_judging_blocks(base, assembly, judge))
     unasked = _unasked(_meaningful(race, rejected), before, rejected, worths)
     for rival, rivals in itertools.islice(unasked, options.judged):
@@ -103,8 +102,8 @@ def first_to_pass(
             rejected[rival.label] = f"in place of {twin} it explains as much: one of the two acts"
             continue
         chosen, near = _simplest_that_counts(options, race, rival, rivals)
-        if chosen is not rival and (same := fitted.reason_for(chosen)):
-            rejected[rival.label] = same  # it is not told apart from what was refused
+        if chosen is not rival and chosen.worth <= fitted.get(chosen.label, -np.inf) + WORTH:
+            rejected[rival.label] = rejected[chosen.label]  # it is not told apart from that one
             continue
         aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
@@ -114,7 +113,7 @@ def first_to_pass(
         if instead is None and chosen.label in passed.whole.refitted.retired:
             instead = passed.whole.refitted
         rejected[chosen.label], worths[chosen.label] = refusal.reason, chosen.worth
-        fitted_worths[chosen.label] = chosen.worth
+        fitted[chosen.label] = chosen.worth
         refused.append(chosen.label)
         likely = likely or (passed if refusal.alone else None)
     return RaceOutcome(None, rejected, likely, worths, tuple(refused), instead)

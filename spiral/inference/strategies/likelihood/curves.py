@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -183,7 +183,10 @@ Passing = tuple[AcceptedCandidate, tuple[Race, Ranking]]
 
 @dataclass(frozen=True)
 class _CurveSearch:
-    """Curves that the study offers, beside any model of it; ``masks`` are (select, judge)."""
+    """Curves that the study offers, beside any model of it; ``masks`` are (select, judge).
+
+    ``races`` : those that were run, each with the model that it began with.
+    """
 
     options: LikelihoodOptions
     assembly: Assembly
@@ -191,6 +194,7 @@ class _CurveSearch:
     level: float
     objection: Objection
     progress: Progress
+    races: list[tuple[LikelihoodFit, tuple[Race, Ranking] | None]] = field(default_factory=list)
 
     def in_place_of(
         self, base: LikelihoodFit, start: LikelihoodFit, afresh: bool = False
@@ -211,28 +215,35 @@ class _CurveSearch:
         place of a change of a parameter a force or a flow that is not told from it. ``afresh`` :
         those that lead are fitted anew.
         """
-        parts = functools.partial(_coefficient_columns, self.assembly)
-        if not start.estimate.finite:
-            return None
-        select, judge = self.masks
-        contest = race_offered(self.assembly, start, select, self.progress, _MOST, parts)
+        contest = self._race_beside(start) if start.estimate.finite else None
         if contest is None:
             return None
         if afresh:
             contest = _start_curves_afresh(*contest, self.progress)
         passed = first_to_pass(
-            self.options, self.assembly, start, contest[0], judge, self.level, self.objection,
-            self.progress, ahead,
+            self.options, self.assembly, start, contest[0], self.masks[1], self.level,
+            self.objection, self.progress, ahead,
         ).passed  # fmt: skip
         if passed is None:
             return None
         plain = tuple(e for e in self.assembly.problem.dictionary if e.label in passed.aliases)
         if plain and isinstance(passed.rival.ranked.variant.effect, LearnedParameterChange):
-            alone = replace(self, assembly=offer_effects(self.assembly, plain))
+            alone = replace(self, assembly=offer_effects(self.assembly, plain), races=[])
             other = alone.beside(start, ahead, afresh)
             if other is not None:  # a spring's stiffness that follows its own length is a force
                 return other
         return passed, contest
+
+    def _race_beside(self, start: LikelihoodFit) -> tuple[Race, Ranking] | None:
+        """The race of the curves beside a model, run once for each."""
+        for known, contest in self.races:
+            if known is start:
+                return contest
+        parts = functools.partial(_coefficient_columns, self.assembly)
+        select = self.masks[0]
+        contest = race_offered(self.assembly, start, select, self.progress, _MOST, parts)
+        self.races.append((start, contest))
+        return contest
 
 
 def _start_curves_afresh(race: Race, ranked: Ranking, progress: Progress) -> tuple[Race, Ranking]:
