@@ -4,11 +4,12 @@ A model is *near its noise* where all of these hold:
 
     1 / L <= chi2 / dof <= L          on the samples that were fitted,
     p >= level or (Q - m) / N <= s^2  what is left is white, or its colour harmless,
-    (test error)^2 <= L (floor)^2 + 6.6 d^2   on samples that no fit has seen,
+    (test error)^2 <= L (floor)^2 + F d^2   on samples that no fit has seen,
 
 with L = ``chi2_limit``, s = ``smallest``, p and Q of Ljung and Box over m lags, d what the fitted
-random forces are expected to make of a free run (``engine.likelihood.free_spread``; a record may be
-one stretch of what they move slowly, and chi2 of one degree of freedom is 6.6 once in a hundred).
+random forces are expected to make of a free run (``engine.likelihood.free_spread``), F what their
+mean square exceeds once in a hundred: chi2 / nu of as many independent values nu as they make of
+the record, 6.6 where it is one stretch of what they move slowly, at least L.
 No value may contradict the noise that makes up for the rest (``Comparison.contradictions``): a
 damper of the given model that ended up feeding the machine, or most likely values more than three
 standard errors from those whose free run is better on each other half of the record. Were the
@@ -26,6 +27,7 @@ the test error is not asked: process noise moves what runs freely.
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
 from spiral.inference.disturbances import (
     coloured_noise,
@@ -37,7 +39,7 @@ from spiral.types.formatting import number, percent
 from spiral.types.horizon import Change, changes
 from spiral.types.run import Comparison, StopReason
 
-_SPREAD_FACTOR = 6.6  # times the variance that random forces are expected to make of one free run
+_EXCEEDED = 0.01  # how often random forces make more of a free run than is explained by them
 _GONE = 0.5  # share of a squared error under which most of it is taken away
 _HALF = 0.5  # of all motion: largest error one sample ahead where the free run is no witness
 _AT_FLOOR = 1.2  # times the noise floor: within what is known of it
@@ -194,7 +196,7 @@ def _random_spread(comparison: Comparison) -> float:
 def is_error_unexplained(comparison: Comparison, settings: Settings) -> bool:
     """Whether the error on unseen data exceeds what noise and random forces make of a free run.
 
-    (test error)^2 > L (floor^2 - drift^2) + 6.6 (spread^2 + drift^2) as in the module's text. It is
+    (test error)^2 > L (floor^2 - drift^2) + F (spread^2 + drift^2) as in the module's text. It is
     never so where random forces were not modelled: they move what runs freely. Where
     ``is_free_run_carried_away``, the error one sample ahead may not exceed half of all motion.
     """
@@ -205,8 +207,23 @@ def is_error_unexplained(comparison: Comparison, settings: Settings) -> bool:
         ahead = next_sample_error(comparison)
         return ahead is not None and not ahead <= max(_HALF, 2 * floor)
     few = _random_spread(comparison) ** 2 + drifting**2  # of which a record has few values
-    allowed = settings.chi2_limit * (floor**2 - drifting**2) + _SPREAD_FACTOR * few
+    allowed = (
+        settings.chi2_limit * (floor**2 - drifting**2) + _spread_factor(comparison, settings) * few
+    )
     return not comparison.test_error**2 <= allowed
+
+
+def _spread_factor(comparison: Comparison, settings: Settings) -> float:
+    """How far random forces, drifts and doubts may exceed their variance: chi2 / nu at one in 100.
+
+    nu = 2 m^2 / s^2 of their sum: the forces make ``disturbed_values`` of a record, a doubt or a
+    drift one value each.
+    """
+    made = np.square([comparison.disturbed, comparison.uncertain, comparison.drifting])
+    values = np.array([max(comparison.disturbed_values, 1.0), 1.0, 1.0])
+    spread = float(np.sum(made**2 / values))
+    nu = float(made.sum() ** 2 / spread) if 0 < spread < np.inf else 1.0
+    return max(float(chi2.isf(_EXCEEDED, nu)) / nu, settings.chi2_limit)
 
 
 def is_free_run_carried_away(comparison: Comparison) -> bool:

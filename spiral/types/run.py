@@ -92,6 +92,7 @@ class Comparison(Readable):
     contradictions : values that noise does not account for, in words: a sign that turned and that a
         passive machine does not have, most likely values far from those of the best free run.
     disturbed : error of the test's free run to be expected from random forces.
+    disturbed_values : how many independent values these make of it, of which it is the rms.
     uncertain : the same from the uncertainty of parameters and initial state.
     drifting : the same from sensors that drift, or whose noise lasts long.
     driven_unseen : whether what moves the fitted records is in none of their inputs.
@@ -120,6 +121,7 @@ class Comparison(Readable):
     departures: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
     disturbed: float = 0.0
+    disturbed_values: float = 1.0
     uncertain: float = 0.0
     drifting: float = 0.0
     driven_unseen: bool = False
@@ -162,6 +164,7 @@ class Comparison(Readable):
             "departures": list(self.departures),
             "contradictions": list(self.contradictions),
             "disturbed": self.disturbed,
+            "disturbed_values": self.disturbed_values,
             "uncertain": self.uncertain,
             "drifting": self.drifting,
             "driven_unseen": self.driven_unseen,

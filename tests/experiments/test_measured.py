@@ -33,10 +33,15 @@ def test_the_tanks_name_the_overflow_first():
 
 @needs("cascaded_tanks/dataBenchmark.csv")
 def test_the_overflow_of_the_measured_tanks_is_named():
-    """By the likelihood, first and alone; what spills is no less than what is caught."""
-    result = discover(problem_of("cascaded_tanks"))
-    assert result.missing == ("overflow",)
-    assert result.rounds[-1].comparison.test_error < 0.28
+    """By the likelihood, first; then what bends the free run, at most 0.36 V; more is missing."""
+    problem = problem_of("cascaded_tanks")
+    result = discover(problem)
+    assert result.missing[0] == "overflow"
+    assert len(result.missing) == 2
+    assert "More is missing" in result.summary
+    assert result.rounds[1].comparison.test_error < 0.28
+    assert result.rounds[-1].comparison.test_error < 0.18
+    assert scored(problem, result)[-1].all < 0.36
     assert 7 < result.model.values["overflow.rim"] < 12
 
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import lfilter
 
 from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
-from spiral.engine.likelihood.free_spread import free_spread
+from spiral.engine.likelihood.free_spread import FreeSpread, free_spread, independent_values
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise
 from spiral.engine.resting import state_jacobian
 from spiral.inference.likelihood.fitting import (
@@ -50,17 +51,37 @@ def test_random_forces_move_a_free_run_as_far_as_it_says():
         record = shaken(seed, 0.05)
         task, settings = task_of(record)
         misses.append(record.truth["x"] - states_alone(task, settings)[:, 0])
-    spread = free_spread(task, settings, first_noise(task, 0.05))[:, 0]
+    spread = free_spread(task, settings, first_noise(task, 0.05))
     assert np.sqrt(np.mean(np.square(misses))) == pytest.approx(
-        np.sqrt(np.mean(spread**2)), rel=0.15
+        np.sqrt(np.mean(spread.rms**2)), rel=0.15
     )
+    seen = np.mean(np.square(misses), axis=1)
+    assert independent_values([spread]) == pytest.approx(2 * seen.mean() ** 2 / seen.var(), rel=0.6)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9, 0.99])
+@pytest.mark.parametrize("records", [1, 3])
+def test_independent_values_of_a_stationary_motion(memory, records):
+    """nu = N (1 - phi^2) / (1 + phi^2) of N values of an AR(1); from below where few are drawn."""
+    rng, samples = np.random.default_rng(5), 2000
+
+    def spread(drawn):
+        x = lfilter([1.0], [1.0, -memory], rng.normal(size=(drawn, samples + 1000)))[:, 1000:, None]
+        return FreeSpread(np.sqrt(np.mean(x**2, axis=0)), np.mean(x**2, axis=(1, 2)))
+
+    exact = records * samples * (1 - memory**2) / (1 + memory**2)
+    told = [independent_values([spread(64) for _ in range(records)]) for _ in range(20)]
+    few = [independent_values([spread(8) for _ in range(records)]) for _ in range(20)]
+    assert 0.5 * exact < np.median(told) < exact
+    assert np.median(few) < np.median(told)
+    assert independent_values([FreeSpread(np.zeros((5, 1)), np.zeros(8))]) == 1.0
 
 
 def test_a_free_run_is_carried_no_further_than_two_motions_differ():
     """Forces many times the machine's own: sqrt(2) of what the reading does, and no more."""
     record = record_of(0)
     task, settings = task_of(record)
-    spread = free_spread(task, settings, first_noise(task, 50.0))[:, 0]
+    spread = free_spread(task, settings, first_noise(task, 50.0)).rms[:, 0]
     most = np.sqrt(2) * np.std(record.channels["x"])
     assert spread[0] == 0.0
     assert 0.5 * most < np.median(spread) <= np.max(spread) <= most * (1 + 1e-9)
@@ -70,7 +91,7 @@ def test_forces_without_bounds_carry_a_free_run_as_far_as_can_be():
     """A value that ran away leaves them no covariance; that is told, and ends no study."""
     record = record_of(0)
     task, settings = task_of(record)
-    spread = free_spread(task, settings, first_noise(task, np.inf))[:, 0]
+    spread = free_spread(task, settings, first_noise(task, np.inf)).rms[:, 0]
     assert spread == pytest.approx(np.sqrt(2) * np.std(record.channels["x"]))
 
 
@@ -115,7 +136,7 @@ def test_a_force_with_a_memory_carries_a_free_run_as_a_linear_machine_says():
     noise = first_noise(task, 0.0).with_terms(
         (NoiseTerm("gust", "observed"),), {"gust.observed": 0.2, "gust.time": 5 * task.series.dt}
     )
-    spread = free_spread(task, settings, noise)[:, 0]
+    spread = free_spread(task, settings, noise).rms[:, 0]
     dt, time = task.series.dt, noise.values["gust.time"]
     a = np.zeros((3, 3))
     a[:2, :2] = state_jacobian(task.compiled, task.values, task.mean_inputs, task.centre)

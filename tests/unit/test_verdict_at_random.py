@@ -58,6 +58,16 @@ def test_what_random_forces_may_hide_is_not_nothing(error, stopped, verdict):
         assert "Record what drives" in advice_for(verdict, stopped, [seed], (), SETTINGS)
 
 
+@pytest.mark.parametrize(("values", "most"), [(1.0, 2.576), (10.0, 1.523), (1000.0, 1.415)])
+def test_forces_that_make_many_values_of_a_record_explain_less(values, most):
+    """sqrt(chi2 / nu) at one in a hundred, at least that of chi2 itself."""
+    for share, told in ((0.99, "nothing_missing"), (1.01, "unknown_structure")):
+        pushed = replace(GOOD, random={"force.observed": 0.1}, disturbed=0.1, noise_floor=0.0,
+                         test_error=share * most * 0.1, disturbed_values=values)  # fmt: skip
+        seed = Round(0, (), {}, {}, (), pushed, 1.0)
+        assert seed_verdict(seed, "no_candidate", SETTINGS) == told
+
+
 @pytest.mark.parametrize(("p", "begins"), [(0.4, True), (1e-9, False)])
 def test_where_only_a_random_force_is_too_large_it_may_be_one(p, begins):
     """Misses that are not white speak against the model whatever acts at random."""

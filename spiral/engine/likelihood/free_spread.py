@@ -13,9 +13,11 @@ carried. The same numbers are drawn for the same record whatever the sizes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.task import FilterInput
@@ -25,14 +27,49 @@ from spiral.types.record import Array
 
 _STEPS = 200_000  # of integration for all motions together
 _FEWEST, _MOST = 8, 64  # motions that are drawn
+_SURE = 0.05  # level at which their variance, of few motions, is bounded from above
 
 
-def free_spread(task: FilterInput, settings: FilterSettings, noise: NoiseModel) -> Array:
-    """(samples, channels) rms of what a free run that begins at ``settings.start`` is off by."""
-    total, count = np.zeros_like(task.series.y), 0
+@dataclass(frozen=True)
+class FreeSpread:
+    """What a free run that begins at a given start is off by.
+
+    rms : (samples, channels) over the drawn motions.
+    squares : (motions,) mean square of each over samples, in squared deviations of a channel, mean
+        over channels.
+    """
+
+    rms: Array
+    squares: Array
+
+
+def free_spread(
+    task: FilterInput, settings: FilterSettings, noise: NoiseModel, first: int = 0
+) -> FreeSpread:
+    """The spread of free runs that begin at ``settings.start``; mean squares from ``first`` on."""
+    total, squares = np.zeros_like(task.series.y), []
     for miss in draw_free_misses(task, settings, noise):
-        total, count = total + miss**2, count + 1
-    return np.sqrt(total / count)
+        total += miss**2
+        squares.append(np.mean((miss[first:] / task.series.deviations) ** 2))
+    return FreeSpread(np.sqrt(total / len(squares)), np.array(squares))
+
+
+def independent_values(spreads: Sequence[FreeSpread]) -> float:
+    """How many independent values, all alike, have a mean square that varies as these records' do.
+
+    nu = 2 m^2 / s^2 of chi2 with nu degrees of freedom (Satterthwaite 1946), at least 1: m the mean
+    square of all samples over the drawn motions, s^2 its variance, at the upper end of what is
+    known of it from so few.
+    """
+    samples = np.array([len(s.rms) for s in spreads], dtype=float)
+    shares = samples / samples.sum()
+    mean = sum(share * s.squares.mean() for share, s in zip(shares, spreads, strict=True))
+    variance = 0.0
+    for share, spread in zip(shares, spreads, strict=True):
+        freedom = len(spread.squares) - 1
+        largest = freedom / chi2.ppf(_SURE, freedom)
+        variance += share**2 * spread.squares.var(ddof=1) * largest
+    return float(max(2 * mean**2 / variance, 1.0)) if variance > 0 else 1.0
 
 
 def draw_free_misses(

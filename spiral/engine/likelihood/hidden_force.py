@@ -47,7 +47,7 @@ def hidden_force_spread(
     """(samples, channels) that ``larger_forces`` may add to a spread ``known`` of a free run."""
     most = np.zeros_like(known)
     for other in larger:
-        most = np.maximum(most, free_spread(task, settings, other) ** 2 - known**2)
+        most = np.maximum(most, free_spread(task, settings, other).rms ** 2 - known**2)
     return np.sqrt(most)
 
 

@@ -17,7 +17,7 @@ from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.fit import MaximumLikelihood
-from spiral.engine.likelihood.free_spread import free_spread
+from spiral.engine.likelihood.free_spread import free_spread, independent_values
 from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
 from spiral.engine.likelihood.noise import NoiseModel, sensor_autocovariance
@@ -133,6 +133,7 @@ def _noise_fields(
         "random": sizes,
         "random_times": times,
         "disturbed": carried.forces,
+        "disturbed_values": carried.values,
         "driven_unseen": all(task.is_driven_unseen for task, _ in fit.estimate.prepared),
         "drifting": reported.error_in_free_run(run),
         "departures": (
@@ -191,10 +192,12 @@ def _note_fields(
 class _FreeRunTolerance:
     """Error that a free run may have, over the deviations of its readings, mean over channels.
 
-    ``forces`` that act at random; ``doubts`` of values, starts, and forces too small to be seen.
+    ``forces`` that act at random, which make as many independent ``values``; ``doubts`` of values,
+    starts, and forces too small to be seen.
     """
 
     forces: float = 0.0
+    values: float = 1.0
     doubts: float = 0.0
 
 
@@ -208,7 +211,7 @@ def _free_run_uncertainty(
     """
     if not estimate.finite:
         return _FreeRunTolerance()
-    fitted, forces, doubts = estimate.prepared[0][0], [], []
+    fitted, spreads, forces, doubts = estimate.prepared[0][0], [], [], []
     larger = larger_forces(estimate)
     for r, series in enumerate(other.study.series):
         begin = starts[r][0][: len(fitted.states)]
@@ -216,22 +219,25 @@ def _free_run_uncertainty(
         first = run.settled[r]
         own, settings = filter_prepared(replace(task, moved=tuple(estimate.keys)), ())
         settings = replace(settings, start=begin)
-        spread = free_spread(own, settings, noise)
+        spreads.append(free_spread(own, settings, noise, first))
+        spread = spreads[-1].rms
         forces.append(spread[first:] ** 2)
         values = free_doubt(task, begin, estimate.keys, estimate.covariance, estimate.noise, first)
         if run.is_lost(r) and estimate.keys:
             doubting = _doubting_filter(task, (), _told_errors(estimate), estimate)
             grown = doubt_along_readings(*doubting, estimate.noise, first)
             values = np.maximum(values, grown)
-        known = spread if estimate.noise is noise else free_spread(own, settings, estimate.noise)
+        known = (
+            spread if estimate.noise is noise else free_spread(own, settings, estimate.noise).rms
+        )
         unseen = hidden_force_spread(own, settings, known, larger)[first:]
         doubts.append(values**2 + unseen**2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (
+        made, doubted = (
             float(np.mean(np.sqrt(np.mean(np.concatenate(parts), axis=0)) / run.deviations()))
             for parts in (forces, doubts)
         )
-    return _FreeRunTolerance(*shares)
+    return _FreeRunTolerance(made, independent_values(spreads), doubted)
 
 
 def _residual_fields(assembly: Assembly, fit: LikelihoodFit, own: FreeRun) -> dict[str, float]:

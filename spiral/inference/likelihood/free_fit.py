@@ -41,7 +41,7 @@ from spiral.inference.likelihood.fitting import (
     is_random_force_small,
     with_estimate,
 )
-from spiral.inference.likelihood.seed_fit import sensor_noise_only
+from spiral.inference.likelihood.seed_fit import white_noise_only
 from spiral.inference.problem import Progress
 from spiral.types.formatting import number
 from spiral.types.label import without_variant
@@ -72,25 +72,34 @@ def refit_by_free_run(
     if all(task.is_driven_unseen for task, _ in fit.estimate.prepared):
         return fit  # a free run has nothing to follow
     progress("fitting values that minimise the free-run error")
-    noise, like = sensor_noise_only(fit), fit.estimate.prepared
-    white_noise_only = noise.select_terms(t for t in noise.terms if t.kind == "white")
-    free = fit_by_likelihood(assembly, fit.state, white_noise_only, rough=True, like=like)
-    ours, theirs = (_mean_free_run_error(f, white_noise_only, None) for f in (fit, free))
+    white, like = white_noise_only(fit), fit.estimate.prepared
+    free = fit_by_likelihood(assembly, fit.state, white, rough=True, like=like)
+    ours, theirs = (_mean_free_run_error(f, white, None) for f in (fit, free))
     if not theirs < _BETTER * ours:
         return fit
     if not halves_agree:
         return _with_noise_terms_of(assembly, free, fit)
-    ours = theirs = 0.0
+    ours = 0.0
     for fitted, other in itertools.permutations(_record_halves(fit.estimate.prepared)):
         stepwise = fit_by_likelihood(
             assembly, fit.state, masks=fitted, rough=True, kept=fit.estimate.kept
         )
-        freely = fit_by_likelihood(assembly, free.state, white_noise_only, fitted, rough=True)
-        ours += _mean_free_run_error(stepwise, white_noise_only, other) ** 2
-        theirs += _mean_free_run_error(freely, white_noise_only, other) ** 2
-    if not theirs < ours:
+        ours += _mean_free_run_error(stepwise, white, other) ** 2
+    if not error_on_other_halves(assembly, free, white) < ours:
         return fit
     return _with_noise_terms_of(assembly, free, fit)
+
+
+def error_on_other_halves(assembly: Assembly, free: LikelihoodFit, white: NoiseModel) -> float:
+    """The summed squared free-run errors of each half of the records by values of the other.
+
+    ``free`` : the values to begin with. ``white`` : the sensors' noise, beside no random force.
+    """
+    total = 0.0
+    for fitted, other in itertools.permutations(_record_halves(free.estimate.prepared)):
+        freely = fit_by_likelihood(assembly, free.state, white, fitted, rough=True)
+        total += _mean_free_run_error(freely, white, other) ** 2
+    return total
 
 
 def _random_force_errors(free: MaximumLikelihood, noise: NoiseModel) -> Array:
@@ -141,10 +150,10 @@ def _record_halves(prepared: FilterInputs) -> tuple[Masks, Masks]:
     return first, second
 
 
-def _mean_free_run_error(fit: LikelihoodFit, white_noise_only: NoiseModel, masks: Masks) -> float:
+def _mean_free_run_error(fit: LikelihoodFit, white: NoiseModel, masks: Masks) -> float:
     """Free-run error of a fit, rms over each channel's deviation, mean over channels."""
     prepared = fit.estimate.prepared
-    parts = predict_cases([(prepared, white_noise_only)])[0]
+    parts = predict_cases([(prepared, white)])[0]
     if not all(p.whole for p in parts):
         return np.inf
     total, count = 0.0, 0

@@ -311,6 +311,12 @@ def sensor_noise_only(fit: LikelihoodFit) -> NoiseModel:
     return first_noise(prepared[0][0], _QUIET, np.sqrt(np.mean(misses**2, axis=0)))
 
 
+def white_noise_only(fit: LikelihoodFit) -> NoiseModel:
+    """White noise of the sensors without any random force, beside which a model runs freely."""
+    noise = sensor_noise_only(fit)
+    return noise.select_terms(t for t in noise.terms if t.kind == "white")
+
+
 def refit_on_wanted_steps(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit:
     """The fit on integration steps as its motion and the likelihood want them.
 

@@ -107,7 +107,7 @@ def first_to_pass(
             continue
         aliases = tuple(dict.fromkeys((*near, *twin_rivals(chosen, rivals))))
         progress(f"most likely values with {chosen.label}")
-        passed, refusal = _fit_and_ask(chosen, aliases, objection, progress)
+        passed, refusal = fit_and_ask(chosen, aliases, objection, progress)
         if refusal is None:
             return RaceOutcome(passed, rejected, likely, worths, tuple(refused), instead)
         if instead is None and chosen.label in passed.whole.refitted.retired:
@@ -149,7 +149,7 @@ def _unasked(
             yield rival, rivals
 
 
-def _fit_and_ask(
+def fit_and_ask(
     chosen: Rival, aliases: tuple[str, ...], objection: Objection, progress: Progress,
     early: bool = True,
 ) -> tuple[AcceptedCandidate, Refusal | None]:  # fmt: skip
@@ -167,7 +167,7 @@ def _fit_and_ask(
         return passed, refusal
     if whole.complete:
         return freely, None
-    return _fit_and_ask(chosen, aliases, objection, progress, early=False)
+    return fit_and_ask(chosen, aliases, objection, progress, early=False)
 
 
 def _meaningful(race: Race, rejected: dict[str, str]) -> Iterator[tuple[Rival, list[Rival]]]:
@@ -230,7 +230,12 @@ def _within_tolerances(rival: Rival, known: Tolerances) -> str:
 
 
 def benefit_objection(
-    options: LikelihoodOptions, before: Comparison, settings: Settings
+    options: LikelihoodOptions, before: Comparison, settings: Settings, freely: bool = False
 ) -> Objection:
-    """An objection to candidates that do not improve predictions of unseen data."""
-    return lambda whole: refuse_unhelpful(options, before, whole.refitted.comparison, settings)
+    """An objection to candidates that do not improve predictions of unseen data.
+
+    ``freely`` : as in ``refuse_unhelpful``.
+    """
+    return lambda whole: refuse_unhelpful(
+        options, before, whole.refitted.comparison, settings, freely
+    )

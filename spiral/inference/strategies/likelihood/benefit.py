@@ -47,8 +47,9 @@ class Refusal:
 
 
 def refuse_unhelpful(
-    options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings
-) -> Refusal | None:
+    options: LikelihoodOptions, before: Comparison, after: Comparison, settings: Settings,
+    freely: bool = False,
+) -> Refusal | None:  # fmt: skip
     """Refuse an effect that does not improve predictions of unseen data; nothing where it does.
 
     The squared error that it takes away, over what is left, is a size in standard deviations of
@@ -57,7 +58,8 @@ def refuse_unhelpful(
     by more than noise does is no witness. Where the error has less than the noise left to fall, the
     effect must also change what is predicted of a reading by ``smallest_share`` of its motion:
     below that many effects do as well, and a name means little. What an unseen force moves errs by
-    that force, whatever is missing: there likelihood alone tells.
+    that force, whatever is missing: there likelihood alone tells. ``freely`` : free runs count,
+    whatever random forces make of them.
     """
     forces = max(random_forces(after).values(), default=0.0)
     at_bound = forces >= _BOUND * options.random_limit and not after.disturbed < MOST_AT_RANDOM
@@ -77,7 +79,8 @@ def refuse_unhelpful(
         return grows
     if is_moved_unseen(after):
         return None
-    told = [c for c in judged_ if c.samples is not None or after.disturbed <= after.noise_floor]
+    freely = freely or after.disturbed <= after.noise_floor
+    told = [c for c in judged_ if c.samples is not None or freely]
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
     size = max((_reduction_size(b, a) for b, a in pairs), default=0.0)

@@ -54,7 +54,11 @@ from spiral.inference.strategies.likelihood.admission import (
     offer_effects,
     race_offered,
 )
-from spiral.inference.strategies.likelihood.benefit import Refusal, refuse_unhelpful
+from spiral.inference.strategies.likelihood.benefit import (
+    Refusal,
+    refuse_growing_error,
+    refuse_unhelpful,
+)
 from spiral.inference.strategies.likelihood.changes import PromisingChanges, with_every_form
 from spiral.inference.strategies.likelihood.whole_fit import fit_beside_noise
 from spiral.inference.strategy_options import LikelihoodOptions
@@ -290,6 +294,8 @@ def _explains_all(
         return False
     if not start.gone:
         return refuse_unhelpful(options, comparison, refitted.comparison, settings) is None
+    if refuse_growing_error(comparison, refitted.comparison, settings) is not None:
+        return False
     log_likelihood = refitted.log_likelihood - _parameter_penalty(start, refitted.comparison)
     least = np.log(options.odds) - _parameter_penalty(start, comparison)
     if not log_likelihood > start.log_likelihood + least:

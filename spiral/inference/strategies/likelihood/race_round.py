@@ -50,6 +50,7 @@ from spiral.inference.strategies.likelihood.explaining import (
     first_to_explain_all,
     stands_in_for_all,
 )
+from spiral.inference.strategies.likelihood.free_running import first_to_take_free_run
 from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.run import Comparison
@@ -85,9 +86,9 @@ class RoundInput:
         settings = self.bare.problem.settings
         return round_level(settings.level, self.number) / self.options.judged
 
-    def helps(self) -> Objection:
-        """The objection to what is of no use."""
-        return benefit_objection(self.options, self.comparison, self.bare.problem.settings)
+    def helps(self, freely: bool = False) -> Objection:
+        """The objection to what is of no use; ``freely`` as in ``refuse_unhelpful``."""
+        return benefit_objection(self.options, self.comparison, self.bare.problem.settings, freely)
 
 
 @dataclass(frozen=True)
@@ -217,6 +218,11 @@ def _ask_further(
     tried = (*contest.scored.rivals, *race.tried)
     if outcome.passed or not stands_in_for_all(asked.comparison, assembly.problem.settings):
         return outcome, tried
+    outcome, freely = first_to_take_free_run(
+        asked.options, assembly, base, outcome, level, asked.helps(freely=True), asked.progress
+    )
+    if outcome.passed:
+        return outcome, (*tried, *freely)
     return first_to_explain_all(
         asked.options, assembly, state, base, contest.scored.ranking, race.with_only_rivals(tried),
         outcome, asked.comparison, level, asked.progress,
