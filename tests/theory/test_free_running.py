@@ -66,7 +66,7 @@ def test_beside_truly_random_forces_no_candidate_passes(level):
     for seed in range(20):
         assembly, found = fitted(shaken(seed, level))
         assembly = enlarge(assembly, found.state.labels)
-        outcome, tried = first_to_take_free_run(
+        outcome, _ = first_to_take_free_run(
             LikelihoodOptions(), assembly, found, NOTHING_TRIED, 0.01 / 3, asked, silent
         )
         assert outcome.passed is None

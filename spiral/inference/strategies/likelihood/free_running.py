@@ -115,11 +115,8 @@ def _simplest_beyond_chance(
     options: LikelihoodOptions, now: _FreeRun, rival: Rival, rivals: list[Rival], level: float
 ) -> tuple[Rival, tuple[str, ...]]:
     """The simplest rival within the odds of this one, and the labels of the others."""
-    near = tuple(
-        r.label
-        for r in rivals
-        if r is not rival and abs(rival.worth - r.worth) < np.log(options.odds)
-    )
+    others, least = [r for r in rivals if r is not rival], rival.worth - np.log(options.odds)
+    near = tuple(r.label for r in others if r.worth > least)
     chosen, aliases = simplest_rival(rival, near, rivals)
     if chosen is not rival and _chance_reason(now, chosen, level):
         return rival, near
