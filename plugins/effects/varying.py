@@ -5,16 +5,20 @@ resistance with temperature, a stiffness sinks with time, a damper is set by its
 is one at the reference r (of a power where v is its unit), which a free parameter is the value at.
 The reference is zero, where the records come near it. Of what is far from zero all along (a
 temperature in K, a pressure) it is the middle of what they cover, and where the parameter is known
-it is fitted: it tells at which v the value that was given holds.
+it is fitted: it tells at which v the value that was given holds. A point is counted from there.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from spiral.math import exp, length, log, positive, tanh
 from spiral.types.effect import ParameterEffect
 from spiral.types.parameter import Parameter
 
 _REFERENCE = Parameter("reference", "position", start=0.0, role="shape", grid=(1.0,), centre=True)
+_FROM = replace(_REFERENCE, choice=True)
+"""Where a point is counted from: no fit moves both."""
 
 
 class LinearChange(ParameterEffect):
@@ -139,7 +143,7 @@ class SaturatingChange(ParameterEffect):
     special = ("linear_change",)
     parameters = (
         Parameter("change", ""),
-        Parameter("scale", "position", lower=0.0, role="shape", grid=(0.1, 0.3)),
+        Parameter("scale", "position", lower=0.0, role="shape", grid=(0.1, 0.3), spread=True),
         _REFERENCE,
     )
 
@@ -150,22 +154,47 @@ class SaturatingChange(ParameterEffect):
 
 
 class SwitchedChange(ParameterEffect):
-    """A parameter of another value beyond a point: value = p (1 + a s), s from 0 to 1 around v = l.
+    """A parameter of another value beyond a point: value = p (1 + a s), s from 0 to 1 at v = r + l.
 
-    s = (1 + tanh((v - l)/w)) / 2: a valve that opens, a regime that turns turbulent, a contact that
-    closes, a part that breaks at a time.
+    s = (1 + tanh((v - r - l)/w)) / 2: a valve that opens, a regime that turns turbulent, a contact
+    that closes, a part that breaks at a time.
     """
 
     parameters = (
         Parameter("change", ""),
-        Parameter("point", "position", role="shape", grid=(-0.5, 0.0, 0.3, 0.5, 0.7)),
-        Parameter("width", "position", lower=0.0, role="shape", grid=(0.03,), most=0.25),
+        Parameter("point", "position", role="shape", grid=(-0.5, 0.0, 0.3, 0.5, 0.7), spread=True),
+        Parameter(
+            "width", "position", lower=0.0, role="shape", grid=(0.03,), most=0.25, spread=True
+        ),
+        _FROM,
     )
 
     def factor(self, at, u, p):
-        """1 + a (1 + tanh((v - l)/w)) / 2."""
+        """1 + a (1 + tanh((v - r - l)/w)) / 2."""
         (v,) = at.position
-        return 1 + 0.5 * p.change * (1 + tanh((v - p.point) / p.width))
+        return 1 + 0.5 * p.change * (1 + tanh((v - p.reference - p.point) / p.width))
+
+
+class PeakChange(ParameterEffect):
+    """A parameter that peaks, or dips, at a point: value = p (1 + a exp(-((v - r - l)/w)^2)).
+
+    A heat capacity where something melts, an enzyme's optimum of temperature or pH, an absorption
+    near a line, a loss where something resonates, an efficiency at its best point.
+    """
+
+    parameters = (
+        Parameter("change", "", lower=-1.0),
+        Parameter("point", "position", role="shape", grid=(-0.6, -0.2, 0.2, 0.6), spread=True),
+        Parameter(
+            "width", "position", lower=0.0, role="shape", grid=(0.15, 0.4), most=1.0, spread=True
+        ),
+        _FROM,
+    )
+
+    def factor(self, at, u, p):
+        """1 + a exp(-((v - r - l)/w)^2)."""
+        (v,) = at.position
+        return 1 + p.change * exp(-(((v - p.reference - p.point) / p.width) ** 2))
 
 
 class OtherValue(ParameterEffect):

@@ -83,7 +83,8 @@ def largest_port_motion(
     for port in system.varied:
         values = followed.get(port.against, np.zeros(1))
         largest[f"{port.name}.position"] = float(np.abs(values).max())
-        largest[f"{port.name}.middle"] = _middle_far_from_zero(values)
+        middle = largest[f"{port.name}.middle"] = _middle_far_from_zero(values)
+        largest[f"{port.name}.spread"] = float(np.abs(values - middle).max())
     return {**largest, **_largest_signals(system, records)}
 
 
@@ -163,6 +164,8 @@ def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) 
         return parameter.start or 1.0
     if parameter.centre:
         return largest.get(f"{port.name}.middle", 0.0)
+    if parameter.spread:
+        return largest[f"{port.name}.spread"]
     if parameter.unit == "s":
         farthest, fastest = (largest[f"{port.name}.{kind}"] for kind in ("position", "velocity"))
         return farthest / fastest if fastest > 0 else np.inf

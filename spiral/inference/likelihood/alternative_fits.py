@@ -84,9 +84,9 @@ def rivals_beside_less_noise(
         start = fit_by_likelihood(assembly, base.state, less, masks, WARM, True)
         white = _rivals_from_fit(assembly, base, start, masks, past=True)
         rivals += [_with_base_noise_terms(base, r, masks) for r in white]
-        if white and _has_slow_noise(base):
+        if white and _has_lasting_noise(base):
             best = _most_beside_past(start, white, masks)
-            rivals.append(_refit_rival_noise(base, best, masks, progress))
+            rivals.append(_refit_rival_noise(assembly, base, best, masks, progress))
     if not is_random_force_small(base):
         progress("trying candidates beside sensor noise alone")
         sensor_noise = sensor_noise_only(base)
@@ -96,20 +96,23 @@ def rivals_beside_less_noise(
     return rivals
 
 
-def _has_slow_noise(fit: LikelihoodFit) -> bool:
-    """Whether noise of a sensor, or a random force, is nearly constant over the record."""
+def _has_lasting_noise(fit: LikelihoodFit) -> bool:
+    """Whether a random force with a memory acts, or noise of a sensor is as good as constant."""
     noise, task = fit.estimate.noise, fit.estimate.prepared[0][0]
-    times = {t.time for t in noise.terms if t.kind in (*COLOURED, *CORRELATED)}
-    lasting = any(noise.values[n] >= _LASTING * size_limits(task, n)[1] for n in times)
-    return lasting or noise.has_kind("drift")
+    if any(noise.has_kind(kind) for kind in (*CORRELATED, "drift")):
+        return True
+    times = {t.time for t in noise.terms if t.kind in COLOURED}
+    return any(noise.values[n] >= _LASTING * size_limits(task, n)[1] for n in times)
 
 
 def _refit_rival_noise(
-    base: LikelihoodFit, rival: Rival, masks: Masks, progress: Progress
+    assembly: Assembly, base: LikelihoodFit, rival: Rival, masks: Masks, progress: Progress
 ) -> Rival:
     """A rival of a fit beside white noise, refitted with the noise model selected for it.
 
-    From the noise of the model as it is a drift would not let go of what the rival explains.
+    From the noise of the model as it is a drift would not let go of what the rival explains, nor
+    would a force on several states at once. What the model as it is gains by that noise is no merit
+    of the rival.
     """
     own = rival.assembly
     whole = fit_by_likelihood(
@@ -117,7 +120,11 @@ def _refit_rival_noise(
     )
     climbed = select_noise_model(own, whole, progress)
     fit = fit_by_likelihood(own, climbed.state, masks=masks, steps=WARM, rough=True)
-    return make_rival(own, base, rival.ranked, fit, rival.shapes)
+    beside = fit_by_likelihood(
+        assembly, base.state, fit.estimate.noise, masks, WARM, True, like=base.estimate.prepared
+    )
+    likelier = beside.log_likelihood > base.log_likelihood
+    return make_rival(own, beside if likelier else base, rival.ranked, fit, rival.shapes)
 
 
 def _most_beside_past(start: LikelihoodFit, rivals: list[Rival], masks: Masks) -> Rival:
