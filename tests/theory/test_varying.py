@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import sympy as sp
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from spiral_plugins.effects.learned import LearnedChange
 from spiral_plugins.effects.varying import (
@@ -12,6 +13,7 @@ from spiral_plugins.effects.varying import (
     ExponentialChange,
     InverseQuadraticChange,
     LinearChange,
+    PeakChange,
     PowerChange,
     QuadraticChange,
     SaturatingChange,
@@ -19,7 +21,7 @@ from spiral_plugins.effects.varying import (
 )
 
 import spiral
-from spiral.inference.evidence.scales import largest_port_motion, states_along_records
+from spiral.inference.evidence.scales import largest_port_motion, shape_scale, states_along_records
 from spiral.inference.problem import silent
 from spiral.inference.unknown.forcecurve import _share_of_mean
 from spiral.io.export.equation import equation_text
@@ -52,7 +54,16 @@ FORMS = [
         {"change": 0.5, "scale": 0.7, "reference": 0.2},
         lambda v: 1 + 0.5 * np.tanh((v - 0.2) / 0.7),
     ),
-    (SwitchedChange, {"change": 0.5, "point": 1.0, "width": 1e-3}, lambda v: 1 + 0.5 * (v > 1)),
+    (
+        SwitchedChange,
+        {"change": 0.5, "point": 0.8, "width": 1e-3, "reference": 0.2},
+        lambda v: 1 + 0.5 * (v > 1),
+    ),
+    (
+        PeakChange,
+        {"change": 2.2, "point": 0.8, "width": 0.3, "reference": 0.2},
+        lambda v: 1 + 2.2 * np.exp(-(((v - 1.0) / 0.3) ** 2)),
+    ),
 ]
 
 
@@ -108,6 +119,68 @@ def test_the_factor_is_its_equation_and_one_where_nothing_changes(kind, values, 
     np.testing.assert_allclose(
         kind().factor(at, None, SimpleNamespace(**still)), np.ones(60), rtol=0, atol=0
     )
+
+
+def melting(seed, peak=2.2, samples=2400, noise=0.01):
+    """Cb T' = P - h (T - Tw), Cw Tw' = h (T - Tw) - g (Tw - Ta): a hidden buffer melts at 317 K."""
+    rng = np.random.default_rng(seed)
+    power = np.repeat(rng.uniform(0, 16, samples // 60), 60)
+    time = np.arange(samples) * 3.0
+
+    def rate(t, x, heat):
+        capacity = 110 * (1 + peak * np.exp(-(((x[0] - 317) / 4) ** 2)))
+        passed = 0.9 * (x[0] - x[1])
+        return [(heat - passed) / capacity, (passed - 0.5 * (x[1] - 298)) / 210]
+
+    x, states = np.array([305.0, 302.0]), []
+    for k in range(samples):
+        states.append(x)
+        x = solve_ivp(rate, (0, 3.0), x, "DOP853", args=(power[k],), rtol=1e-9).y[:, -1]
+    buffer, wall = np.array(states).T
+    system = spiral.system(
+        ["C*T' = P - h*(T - Tw)", "Cw*Tw' = h*(T - Tw) - g*(Tw - Ta)"],
+        states={"T": {"unit": "K", "start": 305.0}, "Tw": {"unit": "K", "start": 302.0}},
+        inputs={"P": {"unit": "W", "interpolation": "zero_order"}},
+        parameters={"C": (120.0, "J/K"), "h": (0.8, "W/K"), "g": (0.5, "W/K"), "Cw": (210.0, "J/K"), "Ta": (298.0, "K")},
+        free=["C", "h"], observed=["Tw"],
+    )  # fmt: skip
+    seen = wall + noise * wall.std() * rng.normal(size=samples)
+    assert buffer.min() < 313
+    assert buffer.max() > 321
+    return system, make_record(system, f"seed {seed}", time, {"Tw": seen}, {"P": power})
+
+
+def test_points_of_a_change_are_tried_within_what_a_variable_covers():
+    """Of temperatures in K: counted from their middle, in shares of how far they go from it."""
+    system, record = melting(0)
+    states = np.column_stack([np.linspace(300, 322, 50), np.linspace(300, 310, 50)])
+    largest = largest_port_motion(system, (record,), [states])
+    port = system.place(PeakChange(port="C-T"))
+    assert largest[f"{port.name}.middle"] == pytest.approx(311)
+    assert largest[f"{port.name}.spread"] == pytest.approx(11)
+    for kind in (SwitchedChange, PeakChange):
+        shapes = {p.name: p for p in kind.parameters}
+        point, width, reference = (
+            [g * shape_scale(shapes[n], largest, port) for g in shapes[n].grid]
+            for n in ("point", "width", "reference")
+        )
+        assert reference == [pytest.approx(311)]
+        assert all(300 < 311 + x < 322 for x in point)
+        assert all(0 < w < 11 for w in width)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_hidden_buffer_that_melts_is_named_with_its_temperature(seed):
+    system, record = melting(seed)
+    result = spiral.discover(record, system)
+    assert result.missing == ("peak_change@C-T",)
+    values = result.model.values
+    place = values["peak_change@C-T.reference"] + values["peak_change@C-T.point"]
+    assert place == pytest.approx(317, abs=0.5)
+    assert values["peak_change@C-T.change"] == pytest.approx(2.2, rel=0.1)
+    system, record = melting(seed, peak=0.0)
+    assert spiral.discover(record, system).verdict == "nothing_missing"
 
 
 def test_the_traced_model_is_the_system_with_the_parameter_times_the_factor():
