@@ -141,7 +141,8 @@ def melting(seed, peak=2.2, samples=2400, noise=0.01):
         ["C*T' = P - h*(T - Tw)", "Cw*Tw' = h*(T - Tw) - g*(Tw - Ta)"],
         states={"T": {"unit": "K", "start": 305.0}, "Tw": {"unit": "K", "start": 302.0}},
         inputs={"P": {"unit": "W", "interpolation": "zero_order"}},
-        parameters={"C": (120.0, "J/K"), "h": (0.8, "W/K"), "g": (0.5, "W/K"), "Cw": (210.0, "J/K"), "Ta": (298.0, "K")},
+        parameters={"C": (120.0, "J/K"), "h": (0.8, "W/K"), "g": (0.5, "W/K"),
+                    "Cw": (210.0, "J/K"), "Ta": (298.0, "K")},
         free=["C", "h"], observed=["Tw"],
     )  # fmt: skip
     seen = wall + noise * wall.std() * rng.normal(size=samples)
