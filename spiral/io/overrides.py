@@ -165,7 +165,8 @@ def set_value(tree: dict[str, Any], item: Assignment, is_open: tuple[str, ...]) 
         node = node[word]
 
 
-_SWITCHES = {"True": True, "False": False, "on": True, "off": False}
+_SWITCHES = {"True": True, "False": False, "on": True, "off": False, "yes": True, "no": False,
+             "none": False, "None": False}  # fmt: skip
 
 
 def _assign_value(node: dict[str, Any], word: str, item: Assignment, mapping: bool) -> None:

@@ -86,6 +86,10 @@ def test_help_of_any_other_key_is_what_the_configuration_says_of_it(capsys):
     assert code == 0
     assert "log every run to MLflow" in out
     assert "folder of saved runs" in out
+    code, out = told(capsys, "compare", "--help", "others")
+    assert code == 0
+    assert "parameters that no fit moves" in out
+    assert "log every run to MLflow" in out
 
 
 def test_help_without_plugins_that_load(capsys):

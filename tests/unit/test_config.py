@@ -90,7 +90,10 @@ def test_a_problem_is_built_with_records_test_and_candidates():
     assert record.sha256 != test.sha256
 
 
-@pytest.mark.parametrize(("said", "meant"), [("off", False), ("false", False), ("on", True)])
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [("off", False), ("none", False), ("no", False), ("false", False), ("on", True)],
+)
 def test_a_switch_is_turned_by_its_groups_name(said, meant):
     config = composed(*ROTOR, f"tracking={said}")
     assert config["tracking"]["enabled"] is meant

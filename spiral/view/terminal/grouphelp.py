@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 GROUPS = {"system": "system", "record": "source", "test": "source", "effect": "effect"}
 """Group as it is typed -> kind of plugin; other kinds are groups of their own name."""
 
-_SETTINGS = "settings"
+_SETTINGS, _OTHERS = "settings", "others"
 _SHIPPED = "spiral-po"
 
 
@@ -48,7 +48,7 @@ def groups_help(plugins: str | None, words: Sequence[str] = ()) -> str:
         lines += _group_line(f"{group}=", registry.names(kind))
     lines += _group_line("experiment=", experiments())
     lines += _group_line(f"{_SETTINGS}.", list(defaults_of(Settings)))
-    lines += _group_line("others", list(_other_keys()))
+    lines += _group_line(_OTHERS, list(_other_keys()))
     lines += _failure_lines(registry)
     return "\n".join([*lines, "", "--help GROUP or --help NAME tells meanings and fields"])
 
@@ -81,12 +81,15 @@ def _group_or_plugin_help(word: str, registry: Registry) -> str:
         return "\n".join([f"{word}=", *listed, *_failure_lines(registry)])
     if word == _SETTINGS:
         return "\n".join(_settings_help())
-    if lines := _other_keys().get(word):
+    keys = _other_keys()
+    if lines := keys.get(word):
         return "\n".join(lines)
+    if word == _OTHERS:
+        return "\n".join(line for lines in keys.values() for line in lines)
     matches = [e for e in registry.entries if e.name == word]
     if not matches:
-        known = [*groups, _SETTINGS, *_other_keys(), *(e.name for e in registry.entries)]
-        expected = f"a group ({', '.join(groups)}), {_SETTINGS} or a plugin's name"
+        known = [*groups, _SETTINGS, _OTHERS, *keys, *(e.name for e in registry.entries)]
+        expected = f"a group ({', '.join((*groups, _SETTINGS, _OTHERS))}) or a plugin's name"
         raise ConfigError(f"--help {word}", expected, did_you_mean(word, known))
     by_kind = {kind: group for group, kind in reversed(groups.items())}
     return "\n".join(line for e in matches for line in _plugin_help(e, by_kind[e.kind]))

@@ -162,30 +162,28 @@ def print_outcome_error(console: Console, outcome: Outcome) -> None:
 def parameter_table(model: Any) -> Table:
     """Every parameter of a model: estimate with standard error, t, unit.
 
-    Those that were fitted are told below in the units of the model's file as well, where it has
-    others.
+    Those of the system are in the units of its file, as it was written; what was fitted is told
+    below in SI units as well, where these are others.
     """
     table = ruled_table(
         "effect", "parameter", "estimate ± se", "t", "unit", right=["estimate ± se", "t"]
     )
+    written = getattr(model.system, "written_units", {})
+    in_si = []
     for owner, parameters in model.estimates().items():
         for index, (name, estimate) in enumerate(parameters.items()):
-            value = plus_minus(estimate.estimate, estimate.se)
+            own, size = written.get(name, ("", 1.0)) if owner == "system" else ("", 1.0)
+            value = plus_minus(estimate.estimate / size, _scaled(estimate.se, size))
             t = number(estimate.t, 3) if estimate.t is not None else "given"
-            table.add_row(owner if index == 0 else "", name, value, t, estimate.unit or "1")
-    table.caption, table.caption_justify = _estimates_as_written(model), "left"
+            unit = own or estimate.unit or "1"
+            table.add_row(owner if index == 0 else "", name, value, t, unit)
+            if own and estimate.se is not None:
+                si = plus_minus(estimate.estimate, estimate.se)
+                in_si.append(f"{name} {si} {estimate.unit or '1'}")
+    table.caption_justify = "left"
+    table.caption = f"in SI units: {', '.join(in_si)}" if in_si else None
     return table
 
 
-def _estimates_as_written(model: Any) -> str | None:
-    """What was fitted of the system in the units that its file has; nothing where they agree."""
-    written, fitted = (
-        getattr(model.system, "written_units", {}),
-        model.estimates().get("system", {}),
-    )
-    told = [
-        f"{name} {plus_minus(one.estimate / size, one.se / size)} {unit}"
-        for name, (unit, size) in written.items()
-        if (one := fitted.get(name)) is not None and one.se is not None
-    ]
-    return f"in the units of the model's file: {', '.join(told)}" if told else None
+def _scaled(error: float | None, size: float) -> float | None:
+    return None if error is None else error / size

@@ -10,6 +10,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from spiral.inference.disturbances import (
+    random_forces,
+    random_sentence,
+    record_sentence,
+    what_acts,
+)
 from spiral.inference.nearness import next_sample_error
 from spiral.types.formatting import number, percent, probability
 from spiral.view.terminal.findings import print_not_separable, print_unknown_shape
@@ -187,6 +193,14 @@ def _compare(console: Console, outcome: Outcome) -> None:
     known = {n for r in outcome.parts["problem"].records for n in r.remarks}
     for note in dict.fromkeys(n for n in comparison.notes if n not in known):
         console.print(Text(note[:1].upper() + note[1:]))
+    for said in filter(None, (random_sentence(comparison), record_sentence(comparison))):
+        console.print(Text(said))
+    if random_forces(comparison):
+        acting = what_acts(comparison.model)
+        console.print(Text(
+            f"Whether such a {acting} acts, or stands for what the model lacks, spiral discover "
+            "tells", "dim",
+        ))  # fmt: skip
     if not isfinite(comparison.test_error) and "error" not in outcome.result:
         console.print(Text("A free run leaves all bounds, as of a machine that its controller "
                            "holds: one sample ahead the model is told", "dim"))  # fmt: skip
