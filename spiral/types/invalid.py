@@ -10,6 +10,9 @@ Those not missing are recognised from the signal alone, and only where nothing e
     repeat   a reading that repeats the one before, of a sensor whose runs of equal values have all
              one length of two or more, or two lengths that differ by one: it samples more slowly
              than the record, and each value is told once
+    dropout  readings that leave the motion for one value and come back, all for the same one: a
+             jump there and one back, each above 12 of these deviations and 4 usual changes, and
+             little between the readings around them
     held     a run of readings that equal the one before exactly, three at least
     clipped  readings that equal the largest or smallest exactly
 
@@ -46,6 +49,7 @@ _FREQUENT = 5.0  # times as often as a usual value an extreme repeats where a se
 _PAIRS = np.array([(i, i + d) for d in range(1, _APART + 1) for i in range(-3, 4 - d)])
 _WEIGHTS = np.array([6, -4, 1, 0]) / 6  # of a reading in the r of those so many away
 _OWN = np.array([1, -4, 6, -4, 1]) / 6  # of the readings in r
+_LONGEST_DROP, _DROPS = 10, 2  # readings of one dropout, and fewest of them that share a value
 _CHANCE = 0.01  # probability of runs by chance, below which they are none
 _NEAR_JUMPS = 0.1  # the same of so many spikes near jumps of an input, whose doing they then are
 _EXTRAPOLATED = 6.0  # deviation of a cubic's extrapolation over that of r, of white noise
@@ -56,7 +60,7 @@ _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are n
 class InvalidReadings:
     """Invalid readings of one channel, of one kind; ``where`` (samples,) is True there."""
 
-    kind: Literal["missing", "repeat", "spike", "held", "clipped"]
+    kind: Literal["missing", "repeat", "spike", "dropout", "held", "clipped"]
     where: Array
 
     def told(self, channel: str) -> str:
@@ -72,6 +76,10 @@ class InvalidReadings:
             "repeat": (
                 "is a repeat: the sensor samples more slowly than this record",
                 "are repeats: the sensor samples more slowly than this record",
+            ),
+            "dropout": (
+                "drops to one value and comes back, as in a dropout",
+                "drop to one value and come back, as in a dropout",
             ),
             "held": (
                 "repeats the one before exactly, as in a dropout",
@@ -116,6 +124,19 @@ def spoilt_readings(
             InvalidReadings("repeat", repeated),
             *(InvalidReadings(s.kind, _mask_at(fresh[s.where], len(values))) for s in inner),
         )
+    spoilt = _found_by_repeats(values, smooth)
+    gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
+    spikes = _spike_mask(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
+    jumps = [np.convolve(_jump_mask(given), np.ones(5), "same") > 0 for given in inputs]
+    for near in [near for near in jumps if _answer_jumps(spikes, near)]:
+        spikes &= ~near
+    if 0 < spikes.sum() <= _MOST * len(values):
+        spoilt.append(InvalidReadings("spike", spikes))
+    return tuple(s for s in spoilt if s.where.any())
+
+
+def _found_by_repeats(values: Array, smooth: bool) -> list[InvalidReadings]:
+    """What rests at an extreme, repeats the reading before, or drops to one value."""
     spoilt: list[InvalidReadings] = []
     same = np.diff(values) == 0
     runs = _long_run_mask(same)
@@ -125,19 +146,14 @@ def spoilt_readings(
     repeats = same & ~runs & ~clipped[1:]
     by_chance = len(values) * float(np.mean(repeats)) ** _RUN  # runs where repeats are independent
     held = np.concatenate([[False], runs]) & ~clipped
+    dropped = _dropout_mask(values) if smooth else np.zeros_like(held)
     moves = max(clipped.mean(), held.mean()) <= _MOST_STILL  # else it rests so by itself
     sudden = _long_run_mask(same, np.abs(np.diff(values)), least)
     held &= np.concatenate([[False], sudden])
     if by_chance < _CHANCE and moves and _is_noise_like(values[1:][~same]):
-        spoilt = [InvalidReadings("clipped", clipped), InvalidReadings("held", held)]
-    gone = np.logical_or.reduce([np.zeros(len(values), dtype=bool), *(s.where for s in spoilt)])
-    spikes = _spike_mask(bridged(values, gone)) if smooth else np.zeros(len(values), dtype=bool)
-    jumps = [np.convolve(_jump_mask(given), np.ones(5), "same") > 0 for given in inputs]
-    for near in [near for near in jumps if _answer_jumps(spikes, near)]:
-        spikes &= ~near
-    if 0 < spikes.sum() <= _MOST * len(values):
-        spoilt.append(InvalidReadings("spike", spikes))
-    return tuple(s for s in spoilt if s.where.any())
+        spoilt = [InvalidReadings("clipped", clipped), InvalidReadings("held", held & ~dropped)]
+    spoilt.append(InvalidReadings("dropout", dropped))
+    return spoilt
 
 
 def reading_step(values: Array) -> float:
@@ -310,6 +326,31 @@ def _spike_mask(values: Array) -> Array:
         y[pair] -= amounts
         spikes[pair] = True
     return spikes | _edge_spike_mask(y, scale)
+
+
+def _dropout_mask(values: Array) -> Array:
+    """Short runs of one value far from the motion, which begin and end with a jump."""
+    dropped = np.zeros(len(values), dtype=bool)
+    if len(values) < 16 or not _is_noise_like(
+        values[np.concatenate([[True], np.diff(values) != 0])]
+    ):
+        return dropped
+    jumps = np.diff(values)
+    noise, change = (ROBUST * float(np.median(np.abs(x)))
+                     for x in (cubic_residual(values)[2:-2], jumps))  # fmt: skip
+    least = max(_OUT * max(noise, reading_step(values) / np.sqrt(12)), _AGREE * change)
+    edges = np.flatnonzero(np.abs(jumps) > least)
+    runs: dict[float, list[tuple[int, int]]] = {}
+    for first, last in zip(edges[:-1] + 1, edges[1:] + 1, strict=True):
+        there, back = jumps[first - 1], jumps[last - 1]
+        still = last - first <= _LONGEST_DROP and not np.any(np.diff(values[first:last]))
+        around = max(0.5 * min(abs(there), abs(back)), _AGREE * change * (last - first + 1))
+        if still and there * back < 0 and abs(there + back) < around:
+            runs.setdefault(float(values[first]), []).append((first, last))
+    for same in runs.values():
+        for first, last in same if len(same) >= _DROPS else ():
+            dropped[first:last] = True
+    return dropped if dropped.sum() <= _MOST * len(values) else np.zeros_like(dropped)
 
 
 def _usual_sizes(residual: Array) -> Array:

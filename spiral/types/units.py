@@ -154,8 +154,8 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
 
     if wanted in _NONE and given.strip().lower() in _PURE:
         return 1.0, 0.0
-    if wanted == "rad/s" and given.strip().lower() in _PER_TURN:
-        return _PER_TURN[given.strip().lower()], 0.0
+    if (per_second := _turning_rate(given.strip(), wanted)) is not None:
+        return per_second, 0.0
     try:
         if given.strip() in _GRAVITY and _parse(wanted).is_compatible_with("m/s**2"):
             return _GRAVITY[given.strip()] * factor("m/s^2", wanted, what), 0.0
@@ -180,6 +180,19 @@ def conversion(given: str, wanted: str, what: str) -> tuple[float, float]:
             f"{_wanted_words(wanted)}: 1, '%' or 'ppm'" if bare else f"a unit such as {wanted!r}",
             f"a column multiplied by the factor, where {given!r} is one" if bare else "",
         ) from error
+
+
+def _turning_rate(given: str, wanted: str) -> float | None:
+    """The factor of a speed of rotation, where one of both units counts turns; else nothing.
+
+    To pint a turn is 6.28 and a hertz is 1/s, so that 60 rpm would be 6.28 Hz.
+    """
+    turns = _PER_TURN.get(given.lower())
+    if wanted == "rad/s":
+        return turns
+    if wanted == "Hz" and given == "rad/s":
+        return 1 / (2 * math.pi)
+    return turns / (2 * math.pi) if turns is not None and wanted in ("Hz", "1/s") else None
 
 
 _NONE = ("", "1")  # the unit of a number without a unit

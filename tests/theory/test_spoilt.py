@@ -35,6 +35,29 @@ def test_spikes_are_found_where_they_are(seed):
     assert len(found) >= 0.9 * len(at)
 
 
+@pytest.mark.parametrize("lost", [0.0, -9.99])
+@pytest.mark.parametrize("step", [0.0, 0.05])
+def test_dropouts_to_one_value_are_found_where_they_are(lost, step):
+    """Of one to four readings each, of a coarse converter too; where the motion passes, not all."""
+    values, gone = noisy(4), np.zeros(N, dtype=bool)
+    values = step * np.round(values / step) if step else values
+    for k, at in enumerate(range(40, N - 10, 211)):
+        gone[at : at + 1 + k % 4] = True
+    far = gone & (np.abs(MOTION - lost) > 0.4 + 6 * step)  # twelve deviations of its rounding
+    values[gone] = lost
+    out = np.logical_or.reduce(list(kinds(values).values()))
+    assert not np.any(out & ~gone)
+    assert out[far].mean() > 0.9
+
+
+def test_pulses_of_a_signal_are_no_dropouts():
+    """A current that a switch interrupts, each time for another while; a square wave."""
+    rng = np.random.default_rng(0)
+    on = np.repeat(rng.integers(0, 2, N // 3 + 1), 3)[:N]
+    assert "dropout" not in kinds((2 + MOTION) * on + 0.01 * rng.normal(size=N))
+    assert "dropout" not in kinds((2 + MOTION) * on)
+
+
 def test_what_noise_does_where_it_is_loud_is_no_spike():
     """A concentration that is read within 5 % of itself, over two decades: and spikes in it are."""
     rng = np.random.default_rng(5)

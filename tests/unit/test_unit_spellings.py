@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from spiral_plugins.effects.inputs import InputGain
 from spiral_plugins.effects.sensors import Gain
@@ -47,6 +48,17 @@ def test_turns_per_minute_in_every_spelling(unit):
     assert conversion(unit, "rad/s", "speed")[0] == pytest.approx(0.10471975511965977)
     if unit != "1/min":
         assert conversion(unit, "rpm", "speed")[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("wanted", ["Hz", "1/s"])
+def test_a_speed_of_rotation_in_hertz_counts_turns(wanted):
+    """2400 rpm are 40 Hz, as 40 Hz are 251.3 rad/s; to pint a turn is 6.28."""
+    assert 2400 * conversion("rpm", wanted, "speed")[0] == pytest.approx(40)
+    assert conversion("rev/s", wanted, "speed")[0] == pytest.approx(1)
+    assert conversion("1/min", wanted, "rate")[0] == pytest.approx(1 / 60)
+    assert conversion("rad/s", "Hz", "speed")[0] == pytest.approx(1 / (2 * np.pi))
+    assert conversion("rad/s", "1/s", "rate")[0] == pytest.approx(1)
+    assert conversion("kHz", "Hz", "frequency")[0] == pytest.approx(1000)
 
 
 @pytest.mark.parametrize("unit", ["pu", "p.u.", "-", "1", ""])
