@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.types.formatting import duration, join_words, number, percent
+from spiral.types.formatting import duration, join_words, number, percent, plus_minus
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED, FORCES
@@ -15,6 +15,7 @@ from spiral.types.run import Comparison
 from spiral.types.system import has_coordinates
 
 _STATES = {"observed": "the measured states", "hidden": "the hidden states"}
+_OPEN = 1 / 3  # of a value, from which its standard error leaves it open
 _SENSITIVE = 0.3  # free-run error by uncertainty alone from which the sentence is given
 
 
@@ -144,5 +145,18 @@ def _sensitivity_sentences(comparison: Comparison) -> tuple[str, ...]:
     ):
         return ()
     made = percent(comparison.uncertain)
+    if told := _open_values(comparison.model):
+        return (f"this record leaves {join_words(told)} open, by which a free run may err by "
+                f"{made}: fix what is known, or record a motion that tells them",)  # fmt: skip
     return (f"the uncertainty of initial state and parameters alone makes a free-run error of "
             f"{made}: no model predicts such a motion for so long",)  # fmt: skip
+
+
+def _open_values(model: Model) -> list[str]:
+    """Fitted values with their errors, where these are more than a third of them."""
+    return [
+        f"{name} ({plus_minus(one.estimate, one.se)})"
+        for owner in model.estimates().values()
+        for name, one in owner.items()
+        if one.se is not None and one.se > _OPEN * abs(one.estimate)
+    ]

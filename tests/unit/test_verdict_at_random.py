@@ -7,6 +7,7 @@ from spiral_plugins.systems.cascaded_tanks import CascadedTanks
 from spiral_plugins.systems.oscillator import Oscillator
 
 from spiral.inference.advice import advice_for
+from spiral.inference.disturbances import record_sentence
 from spiral.inference.verdict import (
     seed_verdict,
     verdict_sentence,
@@ -15,7 +16,7 @@ from spiral.types.horizon import Horizon
 from spiral.types.model import seed_model
 from spiral.types.run import RANDOM_OR_MISSING, UNTOLD, Round
 from spiral.view.report.text import _headline
-from tests.judged import GOOD, POOR, SETTINGS, ahead, rounds, said
+from tests.judged import CUBIC, GOOD, POOR, SETTINGS, ahead, model, rounds, said
 
 
 @pytest.mark.parametrize(
@@ -175,3 +176,13 @@ def test_where_a_test_hardly_moves_the_fitted_records_tell(fitted, verdict):
     given, words, _ = said(rounds(last, seed), "whiteness")
     assert given == verdict
     assert ("of the record that was fitted 3.40 % -> 2.00 %" in words) == (fitted == 0.034)
+
+
+def test_a_free_run_that_open_values_carry_away_says_which():
+    """Of a machine in chaos no value is open: there nothing predicts so long."""
+    lost = replace(GOOD, test_error=0.9, uncertain=0.8)
+    assert "no model predicts such a motion for so long" in record_sentence(lost)
+    open_value = replace(lost, model=model(CUBIC, cubic_stiffness__stiffness=(3.0, 2.0)))
+    words = record_sentence(open_value)
+    assert words.startswith("This record leaves stiffness (3.0 ± 2.0) open")
+    assert "no model predicts" not in words
