@@ -43,6 +43,23 @@ class InputGain(InputEffect):
         return scale_remark([1 + values["error"]])
 
 
+class InputOffset(InputEffect):
+    """An actuator whose zero is off: acting = u + o.
+
+    A valve that is not quite closed, a gate driver's dead time, a rudder out of trim, a load cell's
+    zero. It is tried where the input multiplies a state, or enters several rates; elsewhere a
+    constant flow, or force, does the same.
+    """
+
+    shifts = True
+    parameters = (Parameter("offset", "position"),)
+
+    def drive(self, at, u, p):
+        """u + o."""
+        (given,) = at.position
+        return given + p.offset
+
+
 class InputDeadZone(InputEffect):
     """An actuator that does not answer small inputs: acting = u - s clip(u, -g, g).
 

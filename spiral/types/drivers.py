@@ -74,6 +74,34 @@ def cross_read_ports(
     return _ports(fit, {**given, **units}, own)
 
 
+@kept(64)
+def is_shift_more_than_constant(system: ProbedSystem, given: str) -> bool:
+    """Whether a constant added to an input does more than one flow, or force, that is constant.
+
+    As where it enters several rates, or multiplies a state. Not of an input that enters no rate by
+    itself, nor where the equations cannot be evaluated.
+    """
+    variables, names = (given,), [i.name for i in system.injections]
+    try:
+        x, u, p = random_point(system)
+        nothing = dict.fromkeys(names, 0.0)
+        elsewhere = moved(x, (s.name for s in system.states))
+        here, there = (
+            _rate_vector(system, at, moved(u, variables), p, nothing)
+            - _rate_vector(system, at, u, p, nothing)
+            for at in (x, elsewhere)
+        )
+    except Exception:
+        return False
+    if not np.any(here) and not np.any(there):
+        return False
+    size = max(np.abs(here).max(), np.abs(there).max())
+    return (
+        bool(np.abs(here - there).max() > LIKE * size)
+        or len(_paths_of(system, variables)[given]) > 1
+    )
+
+
 def _ports(
     pairs: Iterable[tuple[str, str]], units: Mapping[str, str], forces: Mapping[str, str]
 ) -> tuple[Port, ...]:

@@ -132,8 +132,11 @@ class InputEffect(Effect):
     """A change of an input by its actuator: the input that acts differs from the recorded one.
 
     Its port is an input, the first that may be changed where none is named: one that no other
-    input follows from. ``position`` is the unit of that input.
+    input follows from. ``position`` is the unit of that input. One that ``shifts`` adds a constant:
+    it is tried where that does more than a constant flow or force at one place, which else says so.
     """
+
+    shifts: ClassVar[bool] = False
 
     @abstractmethod
     def drive(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from spiral.types.cache import kept
+from spiral.types.drivers import is_shift_more_than_constant
 from spiral.types.effect import (
     Effect,
     ForceEffect,
@@ -39,6 +40,9 @@ def at_every_place(system: System, effect: Effect) -> list[Effect]:
     if isinstance(effect, ForceEffect):
         names = [port.name for port in system.ports]
         names += [port.name for port in system.planes] if effect.pairs else []
+    elif isinstance(effect, InputEffect) and effect.shifts:
+        more = [n for p in system.driven for n in p.axes if is_shift_more_than_constant(system, n)]
+        return [replace(effect, port=name) for name in more]
     elif isinstance(effect, InputEffect):
         names = [place_name(port) for port in system.driven]
     elif isinstance(effect, SensorEffect) and effect.driver:

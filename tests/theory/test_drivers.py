@@ -192,3 +192,61 @@ def test_values_that_are_found_are_not_asked_for():
     assert "other_value@G" in [e.label for e in asked]
     freed = candidates_for(REGISTRY, seed_model(system, freed=("system.G",)), None, everywhere=True)
     assert "other_value@G" not in [e.label for e in freed]
+
+
+# --- an input whose zero is off -------------------------------------------------------------------
+
+
+def boost():
+    """A boost converter: its duty cycle d multiplies both states; i is hidden."""
+    return spiral.system(
+        ["Lb*i' = vin - (1 - d)*v - r*i", "Cb*v' = (1 - d)*i - v/Rl"],
+        states={"i": "A", "v": {"unit": "V", "start": 24.0}},
+        inputs={"d": {"unit": "1", "interpolation": "zero_order"}, "vin": "V"},
+        parameters={"Lb": (400e-6, "H"), "r": (0.25, "ohm"), "Cb": (210e-6, "F"),
+                    "Rl": (9.0, "ohm")},
+        observed=["v"], free=["Lb", "r", "Cb"],
+    )  # fmt: skip
+
+
+def switched(offset, seed, samples=2500, step=2e-5):
+    rng, states = np.random.default_rng(seed), [np.array([5.0, 24.0])]
+    duty = np.repeat(rng.uniform(0.3, 0.6, samples // 25), 25)
+    for d in duty[:-1] + offset:
+
+        def rate(t, x, d=d):
+            return [(12 - (1 - d) * x[1] - 0.3 * x[0]) / 440e-6, ((1 - d) * x[0] - x[1] / 9) / 2e-4]
+
+        states.append(solve_ivp(rate, (0, step), states[-1], rtol=1e-9, atol=1e-9).y[:, -1])
+    clean = np.array(states)[:, 1]
+    seen = clean + 0.01 * clean.std() * rng.normal(size=samples)
+    inputs = {"d": duty, "vin": np.full(samples, 12.0)}
+    return make_record(boost(), "boost", step * np.arange(samples), {"v": seen}, inputs)
+
+
+def offset_places(system):
+    return [e.port for e in candidates_for(REGISTRY, seed_model(system), None, True)
+            if e.plugin_name() == "input_offset"]  # fmt: skip
+
+
+def test_an_offset_of_an_input_is_tried_where_no_constant_flow_does_the_same():
+    """Where it multiplies a state or enters two rates; not a voltage into one current alone."""
+    assert offset_places(boost()) == ["d"]
+    assert offset_places(motor()) == []
+    assert offset_places(REGISTRY.make("system", "oscillator")) == []
+    both = spiral.system(
+        ["T*a' = u - a", "T*b' = 2*u - b"], states={"a": "1", "b": "1"}, inputs={"u": "1"},
+        observed=["a"], parameters={"T": (1.0, "s")},
+    )  # fmt: skip
+    assert offset_places(both) == ["u"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_gate_driver_that_switches_late_is_named(seed):
+    run = spiral.discover(switched(-0.02, seed), boost())
+    assert run.missing == ("input_offset@d",)
+    found = run.model.estimates()["input_offset@d"]["offset"]
+    assert found.estimate == pytest.approx(-0.02, abs=4 * found.se)
+    assert found.se < 1e-3
+    assert spiral.discover(switched(0.0, seed), boost()).missing == ()

@@ -61,9 +61,7 @@ def refuse_unhelpful(
     that force, whatever is missing: there likelihood alone tells. ``freely`` : free runs count,
     whatever random forces make of them.
     """
-    forces = max(random_forces(after).values(), default=0.0)
-    at_bound = forces >= _BOUND * options.random_limit and not after.disturbed < MOST_AT_RANDOM
-    if at_bound and not is_moved_unseen(after):
+    if _is_force_at_bound(options, after):
         acting = what_acts(after.model)
         return Refusal(
             f"with it, too, a random {acting} as large as the machine's own would have to act: "
@@ -79,7 +77,7 @@ def refuse_unhelpful(
         return grows
     if is_moved_unseen(after):
         return None
-    freely = freely or after.disturbed <= after.noise_floor
+    freely |= after.disturbed <= after.noise_floor
     told = [c for c in judged_ if c.samples is not None or freely]
     seen = [] if judged_ else [(before.fit_error, after.fit_error)]
     pairs = [*seen, *((c.before, c.after) for c in told if c.judged == "better")]
@@ -97,6 +95,13 @@ def refuse_unhelpful(
         f"significant, but too small to matter: over every horizon it removes {removed} of the "
         f"error that is left (least {percent(settings.smallest)})"
     )
+
+
+def _is_force_at_bound(options: LikelihoodOptions, after: Comparison) -> bool:
+    """Whether the largest random force that a fit has acts, and moves most of a free run."""
+    forces = max(random_forces(after).values(), default=0.0)
+    largest = forces >= _BOUND * options.random_limit and not after.disturbed < MOST_AT_RANDOM
+    return largest and not is_moved_unseen(after)
 
 
 def _leaves_free_run(before: Comparison, after: Comparison, settings: Settings) -> bool:

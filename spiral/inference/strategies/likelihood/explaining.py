@@ -80,7 +80,7 @@ def _explains_less(
 ) -> Objection:  # fmt: skip
     """The objection to a candidate beside which more than noise is left."""
     helps = benefit_objection(options, before, settings)
-    least = float(np.log(options.odds * asked))
+    least = float(np.log(options.odds * max(asked, 1)))
 
     def object_to(whole: WholeRecordFit) -> Refusal | None:
         if refusal := helps(whole):
