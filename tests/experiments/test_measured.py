@@ -34,7 +34,7 @@ def test_the_tanks_name_the_overflow_first():
 @needs("cascaded_tanks/dataBenchmark.csv")
 def test_the_overflow_of_the_measured_tanks_is_named():
     """By the likelihood, first; then what bends the free run, at most 0.36 V; more is missing."""
-    problem = problem_of("cascaded_tanks")
+    problem = problem_of("cascaded_tanks", ("settings.max_rounds=2",))
     result = discover(problem)
     assert result.missing[0] == "overflow"
     assert len(result.missing) == 2

@@ -11,6 +11,7 @@ from spiral.engine.likelihood.disturbances import smoothed_forces
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, noise_matrices
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.inference.likelihood.exogenous import (
+    _acted_on,
     _delayed_curves,
     _explained,
     _largest_within,
@@ -27,6 +28,15 @@ WHITE = NoiseModel(
     {"white.x": 0.02, "force.observed": 0.05},
 )
 GUST = WHITE.with_terms((NoiseTerm("gust", "x_rate"),), {"gust.x_rate": 0.1, "gust.time": 0.05})
+
+
+def test_only_states_on_which_a_force_of_some_size_acts_are_asked():
+    """A force that is next to nothing tells the slope of the likelihood, and no force."""
+    task, _ = task_of(record_of(1, samples=64, noise=0.02))
+    rate = task.states.index("x_rate")
+    assert _acted_on(task, WHITE) == [rate]
+    assert _acted_on(task, WHITE.with_values({"force.observed": 1e-5})) == []
+    assert _acted_on(task, GUST.with_values({"force.observed": 1e-5})) == [rate]
 
 
 @pytest.mark.parametrize("noise", [WHITE, GUST])

@@ -8,7 +8,7 @@ import spiral
 from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
 from spiral.inference.disturbances import random_forces
 from spiral.inference.likelihood.fitting import fit_by_likelihood, largest_force
-from spiral.inference.likelihood.smaller_forces import replace_large_forces
+from spiral.inference.likelihood.smaller_forces import half_as_large, replace_large_forces
 from spiral.inference.problem import silent
 from spiral.inference.rounds import strategy_for
 from spiral.types.record import make_record
@@ -29,18 +29,18 @@ def _lake():
     )  # fmt: skip
 
 
-def _record(system, seed, count=2000):
+def _record(system, seed, count=2000, more=1.0):
     """An inflow that nobody measured, correlated over 2e4 s, acts on the lake."""
     rng = np.random.default_rng(seed)
     rain = np.clip(np.repeat(rng.uniform(-2.2, 3.0, count // 50), 50), 0, None)
     keep = np.exp(-DT / TIME)
-    more = 0.05 * lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.normal(size=count))
+    push = 0.05 * more * lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.normal(size=count))
     x, level = np.array([0.5, 1.2]), np.empty(count)
     for k in range(count):
         level[k] = x[0]
         for _ in range(10):
             h, b = x
-            into = 0.7 * rain[k] + LINK * (b - h) - LOSS * h + more[k]
+            into = 0.7 * rain[k] + LINK * (b - h) - LOSS * h + push[k]
             x = x + DT / 10 * np.array([into / AREA, (0.3 * rain[k] - LINK * (b - h)) / STORE])
     level += 0.01 * level.std() * rng.normal(size=count)
     return make_record(system, "lake", DT * np.arange(count), {"h": level}, {"q": rain},
@@ -82,6 +82,22 @@ def test_nothing_takes_the_place_of_a_force_that_is_small(study):
     found = replace_large_forces(assembly, large, silent)
     assert found is not None
     assert replace_large_forces(assembly, found, silent) is None
+
+
+def test_a_force_gives_way_to_one_of_half_its_size_where_none_is_small():
+    """As large as a limit in any case; half of what stands there, where that is more."""
+    noise = NoiseModel((NoiseTerm("force", "hidden"),), {"force.hidden": 1.0})
+    assert half_as_large(noise, 0.2) == 0.5
+    assert half_as_large(noise.with_values({"force.hidden": 0.3}), 0.2) == 0.2
+
+
+@pytest.mark.slow
+def test_an_inflow_of_a_quarter_of_the_lakes_own_is_told_with_its_size():
+    """Five times as large as in the record above: no force that explains, and no 100 %."""
+    system = _lake()
+    run = spiral.discover(_record(system, 3, more=5.0), system)
+    assert run.missing == ()
+    assert max(random_forces(run.final).values()) < 0.5
 
 
 @pytest.mark.slow

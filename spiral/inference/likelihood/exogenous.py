@@ -25,12 +25,15 @@ from itertools import pairwise
 
 import numpy as np
 
+from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.task import FilterInput, run_from
 from spiral.engine.likelihood.disturbances import smoothed_forces
+from spiral.engine.likelihood.noise import NoiseModel
 from spiral.engine.series import sample_inputs
 from spiral.inference.disturbances import what_acts
 from spiral.inference.likelihood.fitting import LikelihoodFit
 from spiral.types.formatting import duration, percent
+from spiral.types.noise import FORCES
 from spiral.types.placement import TIME
 from spiral.types.record import Array
 
@@ -38,6 +41,7 @@ _BLOCKS = 8
 _LAGS = (0.0, 0.5, 1.0, 2.0, 4.0)  # of the time in which s changes by its deviation
 _FURTHEST = 4.0  # deviations, up to which curves go on
 _SHARP, _CORNERS = 3.0, (-1.0, -0.5, 0.0, 0.5, 1.0)  # of rounded steps, tanh(3 (s - corner))
+_LEAST = 1e-3  # of a state's own rate, from which a force acts on it
 _SHARE = 0.25  # of the force's mean square
 _LEAD = 2.0  # times what any other shift explains
 _NEAR = 0.1  # share of the record by which a shifted force is another one
@@ -91,10 +95,23 @@ def followed_force(fit: LikelihoodFit) -> FollowedForce | None:
     most = slice(0, prev_fast_len(min(len(forces), _MOST), real=True))
     moving = {name: s[most] for name, s in sources.items()}
     curves = [curve for name, s in moving.items() for curve in _delayed_curves(name, s)]
-    pushed = np.flatnonzero(forces.std(axis=0) > 0) if curves else []
+    acted_on = _acted_on(task, fit.estimate.noise)
+    pushed = [i for i in acted_on if forces[:, i].std() > 0] if curves else []
     tested = (_explained(task.states[i], forces[most, i], curves, moving) for i in pushed)
     found = max((t for t in tested if t is not None), key=lambda t: t.share, default=None)
     return found and replace(found, lag=found.lag * task.series.dt)
+
+
+def _acted_on(task: FilterInput, noise: NoiseModel) -> list[int]:
+    """States on which a random force of some size acts, by place.
+
+    What the record tells of one that is next to nothing is the slope of its likelihood: a value
+    that is held a little off shows in it.
+    """
+    groups = noise_groups(task)
+    acting = (t for t in noise.terms if t.kind in FORCES and noise.values[t.size] > _LEAST)
+    places = (groups.get(t.where) or (task.states.index(t.where),) for t in acting)
+    return sorted({i for some in places for i in some})
 
 
 def followed_force_sentences(fit: LikelihoodFit) -> tuple[str, ...]:

@@ -52,7 +52,8 @@ def add_resonant_force(
     heights = [log_likelihood(p) for p in predict_cases([(at.prepared, n) for n in starts])]
     first = [starts[i] for i in np.argsort(heights)[::-1][:_TUNED]]
     steep = map(raise_filter_order, likeliest_noises(at.prepared, first))
-    fits = fit_beside_small_forces(assembly, fit, steep, float(np.log(DECISIVE_ODDS)))
+    odds, limit = float(np.log(DECISIVE_ODDS)), assembly.problem.settings.random_limit
+    fits = fit_beside_small_forces(assembly, fit, steep, odds, limit)
     return max(fits, key=lambda f: f.log_likelihood, default=None)
 
 

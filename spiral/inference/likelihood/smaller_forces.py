@@ -21,7 +21,7 @@ from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     continue_fit,
-    is_white,
+    innovation_whiteness,
     largest_force,
 )
 from spiral.inference.likelihood.noise_selection import (
@@ -42,8 +42,9 @@ def replace_large_forces(
     """The fit with one correlated force in place of those above ``settings.random_limit``.
 
     Of the groups of states, and of single states, the likeliest. It is taken where it is below that
-    limit, leaves white misses, and the odds against it are less than 100 to one once all numbers
-    are paid for. Nothing where no force is as large, or none is taken.
+    limit, leaves misses that are white, or no less so than before, and the odds against it are less
+    than 100 to one once all numbers are paid for; one above the limit where it is likelier, and at
+    most half as large. Nothing where no force is as large, or none is taken.
     """
     limit, at = assembly.problem.settings.random_limit, fit.estimate
     if not at.finite or not largest_force(at.noise) > limit:
@@ -51,9 +52,21 @@ def replace_large_forces(
     progress("trying a smaller, correlated random force")
     noises = list(_small_force_models(at.prepared[0][0], at.noise, limit))
     looks = likeliest_noises(at.prepared, noises)
-    fits = fit_beside_small_forces(assembly, fit, looks, -float(np.log(DECISIVE_ODDS)))
-    white = [f for f in fits if is_white(assembly, f)]
+    fits = fit_beside_small_forces(
+        assembly, fit, looks, -float(np.log(DECISIVE_ODDS)), half_as_large(at.noise, limit)
+    )
+    likelier = at.log_likelihood
+    fits = [
+        f for f in fits if largest_force(f.estimate.noise) <= limit or f.log_likelihood > likelier
+    ]
+    least = min(innovation_whiteness(assembly, fit).p, assembly.problem.settings.whiteness_level)
+    white = [f for f in fits if innovation_whiteness(assembly, f).p >= least]
     return max(white, key=lambda f: f.log_likelihood, default=None)
+
+
+def half_as_large(noise: NoiseModel, limit: float) -> float:
+    """The largest force that takes the place of a larger one: ``limit``, or half of that."""
+    return max(limit, 0.5 * largest_force(noise))
 
 
 def likeliest_noises(
@@ -65,14 +78,15 @@ def likeliest_noises(
 
 
 def fit_beside_small_forces(
-    assembly: Assembly, fit: LikelihoodFit, looks: Iterable[MaximumLikelihood], least: float
-) -> list[LikelihoodFit]:
+    assembly: Assembly, fit: LikelihoodFit, looks: Iterable[MaximumLikelihood], least: float,
+    limit: float,
+) -> list[LikelihoodFit]:  # fmt: skip
     """The fit continued with each of several noise models, where these have small forces.
 
-    No force may end above ``settings.random_limit``. ``least`` : log-likelihood that a fit has to
-    gain over the one given, all numbers paid for.
+    No force may end above ``limit``. ``least`` : log-likelihood that a fit has to gain over the one
+    given, all numbers paid for.
     """
-    at, limit = fit.estimate, assembly.problem.settings.random_limit
+    at = fit.estimate
     fits = (continue_fit(assembly, fit, k.noise, rough=True) for k in looks if k.finite)
     return [
         f for f in fits

@@ -21,7 +21,7 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.resonant_forces import add_resonant_force
 from spiral.inference.likelihood.seed_fit import best_fit
-from spiral.inference.likelihood.smaller_forces import replace_large_forces
+from spiral.inference.likelihood.smaller_forces import half_as_large, replace_large_forces
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.superfluous import drop_superfluous_effects
@@ -85,7 +85,7 @@ def refit_with_smaller_forces(
     if fit is None:
         return None
     fit = finish_fit(assembly, fit, progress)
-    if largest_force(fit.estimate.noise) > limit:
+    if largest_force(fit.estimate.noise) > half_as_large(state.noise, limit):
         return None
     return _compare_without_needless(assembly, fit, progress)
 
