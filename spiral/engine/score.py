@@ -19,6 +19,7 @@ import numpy as np
 from scipy import special
 
 from spiral.engine.sensitivities import Reduction
+from spiral.engine.statistics import autocorrelation
 from spiral.types.record import Array
 
 MINIMUM_BLOCKS = 40
@@ -211,11 +212,9 @@ def correlation_samples(residuals: tuple[Array, ...]) -> int:
             energy = float(channel @ channel)
             if energy == 0 or not np.isfinite(energy):
                 continue
-            size = 2 ** int(np.ceil(np.log2(2 * len(channel))))
-            spectrum = np.abs(np.fft.rfft(channel, size)) ** 2
-            lags = np.fft.irfft(spectrum)[: len(channel) // 4] / energy
+            rho = autocorrelation(channel, len(channel) // 4 - 1)
             counted = np.count_nonzero(channel)
-            above = np.flatnonzero(np.abs(lags) > max(0.1, 3.0 / np.sqrt(counted)))
+            above = np.flatnonzero(np.abs(rho) > max(0.1, 3.0 / np.sqrt(counted)))
             longest = max(longest, int(above[-1]) + 1 if len(above) else 1)
     return longest
 

@@ -39,6 +39,13 @@ def whiteness(residuals: tuple[Array, ...], lags: int) -> Whiteness:
     return Whiteness(min(1.0, smallest * len(p_values)), max(effects, default=0.0))
 
 
+def autocorrelation(values: Array, lags: int) -> Array:
+    """(lags + 1,) rho_k about zero, not about the mean, of values that are not all zero."""
+    size = 2 ** int(np.ceil(np.log2(2 * len(values))))
+    spectrum = np.abs(np.fft.rfft(values, size)) ** 2
+    return np.fft.irfft(spectrum)[: lags + 1] / float(values @ values)
+
+
 def ljung_box(values: Array, lags: int) -> float:
     """Q = N (N + 2) sum_k rho_k^2 / (N - k) for lags 1 to ``lags``, in time N lags.
 

@@ -206,24 +206,21 @@ def is_error_unexplained(comparison: Comparison, settings: Settings) -> bool:
     if is_free_run_carried_away(comparison):
         ahead = next_sample_error(comparison)
         return ahead is not None and not ahead <= max(_HALF, 2 * floor)
-    few = _random_spread(comparison) ** 2 + drifting**2  # of which a record has few values
-    allowed = (
-        settings.chi2_limit * (floor**2 - drifting**2) + _spread_factor(comparison, settings) * few
-    )
+    allowed = settings.chi2_limit * (floor**2 - drifting**2) + _largest_spread(comparison, settings)
     return not comparison.test_error**2 <= allowed
 
 
-def _spread_factor(comparison: Comparison, settings: Settings) -> float:
-    """How far random forces, drifts and doubts may exceed their variance: chi2 / nu at one in 100.
+def _largest_spread(comparison: Comparison, settings: Settings) -> float:
+    """F (spread^2 + drift^2), which random forces, doubts and drifts exceed once in a hundred.
 
-    nu = 2 m^2 / s^2 of their sum: the forces make ``disturbed_values`` of a record, a doubt or a
-    drift one value each.
+    F = chi2 / nu, nu = 2 m^2 / s^2 of their sum: the forces make ``disturbed_values`` of a record,
+    a doubt or a drift one value each.
     """
     made = np.square([comparison.disturbed, comparison.uncertain, comparison.drifting])
     values = np.array([max(comparison.disturbed_values, 1.0), 1.0, 1.0])
     spread = float(np.sum(made**2 / values))
     nu = float(made.sum() ** 2 / spread) if 0 < spread < np.inf else 1.0
-    return max(float(chi2.isf(_EXCEEDED, nu)) / nu, settings.chi2_limit)
+    return max(float(chi2.isf(_EXCEEDED, nu)) / nu, settings.chi2_limit) * float(made.sum())
 
 
 def is_free_run_carried_away(comparison: Comparison) -> bool:

@@ -81,16 +81,9 @@ def is_shift_more_than_constant(system: ProbedSystem, given: str) -> bool:
     As where it enters several rates, or multiplies a state. Not of an input that enters no rate by
     itself, nor where the equations cannot be evaluated.
     """
-    variables, names = (given,), [i.name for i in system.injections]
+    variables = (given,)
     try:
-        x, u, p = random_point(system)
-        nothing = dict.fromkeys(names, 0.0)
-        elsewhere = moved(x, (s.name for s in system.states))
-        here, there = (
-            _rate_vector(system, at, moved(u, variables), p, nothing)
-            - _rate_vector(system, at, u, p, nothing)
-            for at in (x, elsewhere)
-        )
+        here, there = (_parts_of_rates(system, variables, away)[given] for away in (False, True))
     except Exception:
         return False
     if not np.any(here) and not np.any(there):
@@ -143,9 +136,15 @@ def _paths_of(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, fro
 
 
 @kept(64)
-def _parts_of_rates(system: ProbedSystem, variables: tuple[str, ...]) -> dict[str, Any]:
-    """By input or state: its part of the rates, r(v + dv) - r(v), without injections."""
+def _parts_of_rates(
+    system: ProbedSystem, variables: tuple[str, ...], away: bool = False
+) -> dict[str, Any]:
+    """By input or state: its part of the rates, r(v + dv) - r(v), without injections.
+
+    ``away`` : at other states.
+    """
     x, u, p = random_point(system)
+    x = moved(x, (s.name for s in system.states)) if away else x
     nothing = {i.name: 0.0 for i in system.injections}
     here = _rate_vector(system, x, u, p, nothing)
     return {n: _rate_vector(system, *_moved_point(x, u, n), p, nothing) - here for n in variables}

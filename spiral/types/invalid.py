@@ -146,11 +146,12 @@ def _found_by_repeats(values: Array, smooth: bool) -> list[InvalidReadings]:
     repeats = same & ~runs & ~clipped[1:]
     by_chance = len(values) * float(np.mean(repeats)) ** _RUN  # runs where repeats are independent
     held = np.concatenate([[False], runs]) & ~clipped
-    dropped = _dropout_mask(values) if smooth else np.zeros_like(held)
+    noisy = _is_noise_like(values[1:][~same])
+    dropped = _dropout_mask(values, step) if smooth and noisy else np.zeros_like(held)
     moves = max(clipped.mean(), held.mean()) <= _MOST_STILL  # else it rests so by itself
     sudden = _long_run_mask(same, np.abs(np.diff(values)), least)
     held &= np.concatenate([[False], sudden])
-    if by_chance < _CHANCE and moves and _is_noise_like(values[1:][~same]):
+    if by_chance < _CHANCE and moves and noisy:
         spoilt = [InvalidReadings("clipped", clipped), InvalidReadings("held", held & ~dropped)]
     spoilt.append(InvalidReadings("dropout", dropped))
     return spoilt
@@ -328,28 +329,28 @@ def _spike_mask(values: Array) -> Array:
     return spikes | _edge_spike_mask(y, scale)
 
 
-def _dropout_mask(values: Array) -> Array:
-    """Short runs of one value far from the motion, which begin and end with a jump."""
-    dropped = np.zeros(len(values), dtype=bool)
-    if len(values) < 16 or not _is_noise_like(
-        values[np.concatenate([[True], np.diff(values) != 0])]
-    ):
-        return dropped
+def _dropout_mask(values: Array, step: float) -> Array:
+    """Short runs of one value far from the motion, which begin and end with a jump.
+
+    step : that of a converter (``reading_step``).
+    """
     jumps = np.diff(values)
     noise, change = (ROBUST * float(np.median(np.abs(x)))
                      for x in (cubic_residual(values)[2:-2], jumps))  # fmt: skip
-    least = max(_OUT * max(noise, reading_step(values) / np.sqrt(12)), _AGREE * change)
-    edges = np.flatnonzero(np.abs(jumps) > least)
-    runs: dict[float, list[tuple[int, int]]] = {}
-    for first, last in zip(edges[:-1] + 1, edges[1:] + 1, strict=True):
-        there, back = jumps[first - 1], jumps[last - 1]
-        still = last - first <= _LONGEST_DROP and not np.any(np.diff(values[first:last]))
-        around = max(0.5 * min(abs(there), abs(back)), _AGREE * change * (last - first + 1))
-        if still and there * back < 0 and abs(there + back) < around:
-            runs.setdefault(float(values[first]), []).append((first, last))
-    for same in runs.values():
-        for first, last in same if len(same) >= _DROPS else ():
-            dropped[first:last] = True
+    edges = np.flatnonzero(
+        np.abs(jumps) > max(_OUT * max(noise, step / np.sqrt(12)), _AGREE * change)
+    )
+    first, last = edges[:-1] + 1, edges[1:] + 1
+    there, back = jumps[edges[:-1]], jumps[edges[1:]]
+    moved = np.cumsum(jumps != 0)  # up to each jump
+    still = (last - first <= _LONGEST_DROP) & (moved[last - 2] == moved[first - 1])
+    least = np.minimum(np.abs(there), np.abs(back))
+    around = np.maximum(0.5 * least, _AGREE * change * (last - first + 1))
+    runs = np.flatnonzero(still & (there * back < 0) & (np.abs(there + back) < around))
+    _, which, counts = np.unique(values[first[runs]], return_inverse=True, return_counts=True)
+    dropped = np.zeros(len(values), dtype=bool)
+    for k in runs[counts[which] >= _DROPS]:
+        dropped[first[k] : last[k]] = True
     return dropped if dropped.sum() <= _MOST * len(values) else np.zeros_like(dropped)
 
 

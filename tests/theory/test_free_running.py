@@ -43,8 +43,9 @@ def test_chance_is_as_rare_as_it_says(memory):
         miss = lasting(rng, 1000, memory)
         slopes = lasting(rng, 1000, memory, 2)
         left = miss - slopes @ np.linalg.lstsq(slopes, miss, rcond=None)[0]
-        gain, nu = free_run_gain([miss], [left]), float(independent_misses([miss])[0])
-        levels.append(free_run_level(gain, nu, 0, 2))
+        nu = independent_misses([miss])
+        gain = free_run_gain([miss], [left], nu)
+        levels.append(free_run_level(gain, float(nu[0]), 0, 2))
     assert np.mean(np.array(levels) < 0.05) < 0.08
     assert np.mean(np.array(levels) < 0.5) > 0.2
 

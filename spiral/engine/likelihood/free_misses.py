@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import f as fisher
 
+from spiral.engine.statistics import autocorrelation
 from spiral.types.record import Array
 
 _LONGEST = 4  # records that hold the longest lag
@@ -31,22 +32,18 @@ def independent_misses(misses: Sequence[Array]) -> Array:
 
 def _independent_values(miss: Array) -> float:
     """nu of one channel of one record."""
-    measured = miss != 0
-    samples, energy = int(measured.sum()), float(miss @ miss)
-    if not energy > 0:
+    if not miss.any():
         return 0.0
-    longest = max(len(miss) // _LONGEST, 1)
-    spectrum = np.abs(np.fft.rfft(miss, 2 * len(miss))) ** 2
-    together = np.fft.irfft(spectrum)[1 : longest + 1] / energy
-    return samples / (1 + 2 * float(together @ together))
+    rho = autocorrelation(miss, max(len(miss) // _LONGEST, 1))[1:]
+    return np.count_nonzero(miss) / (1 + 2 * float(rho @ rho))
 
 
-def free_run_gain(before: Sequence[Array], after: Sequence[Array]) -> float:
+def free_run_gain(before: Sequence[Array], after: Sequence[Array], nu: Array) -> float:
     """How much likelier the misses ``after`` are than those ``before``: mean over channels.
 
-    What a machine lacks shows in all its channels, which are no witnesses of one another.
+    What a machine lacks shows in all its channels, which are no witnesses of one another. ``nu`` :
+    ``independent_misses`` of those before.
     """
-    nu = independent_misses(before)
     squares = [np.sum([np.sum(m**2, axis=0) for m in misses], axis=0) for misses in (before, after)]
     with np.errstate(divide="ignore", invalid="ignore"):
         gains = np.where(nu > 0, 0.5 * nu * np.log(squares[0] / squares[1]), 0.0)

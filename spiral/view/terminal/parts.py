@@ -168,11 +168,11 @@ def parameter_table(model: Any) -> Table:
     table = ruled_table(
         "effect", "parameter", "estimate ± se", "t", "unit", right=["estimate ± se", "t"]
     )
-    written = getattr(model.system, "written_units", {})
     in_si = []
     for owner, parameters in model.estimates().items():
+        written = getattr(model.system, "written_units", {}) if owner == "system" else {}
         for index, (name, estimate) in enumerate(parameters.items()):
-            own, size = written.get(name, ("", 1.0)) if owner == "system" else ("", 1.0)
+            own, size = written.get(name, ("", 1.0))
             value = plus_minus(estimate.estimate / size, _scaled(estimate.se, size))
             t = number(estimate.t, 3) if estimate.t is not None else "given"
             unit = own or estimate.unit or "1"

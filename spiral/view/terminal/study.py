@@ -199,7 +199,7 @@ def _compare(console: Console, outcome: Outcome) -> None:
         acting = what_acts(comparison.model)
         console.print(Text(
             f"Whether such a {acting} acts, or stands for what the model lacks, spiral discover "
-            "tells", "dim",
+            "tells.", "dim",
         ))  # fmt: skip
     if not isfinite(comparison.test_error) and "error" not in outcome.result:
         console.print(Text("A free run leaves all bounds, as of a machine that its controller "

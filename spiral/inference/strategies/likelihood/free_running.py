@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -44,7 +45,7 @@ _TRIED = 2  # times the rivals of a round: many effects bend a motion alike, and
 
 @dataclass(frozen=True)
 class _FreeRun:
-    """The model as it is, running freely: a study, its fit without random forces, its misses."""
+    """A model that runs freely: a study, and its fit without random forces."""
 
     assembly: Assembly
     fit: LikelihoodFit
@@ -59,10 +60,20 @@ class _FreeRun:
         """(samples, channels) of each record."""
         return tuple(p.misses for p in self.fit.estimate.predictions)
 
+    @cached_property
+    def independent(self) -> Array:
+        """(channels,) independent values of what is missed."""
+        return independent_misses(self.misses)
+
     @property
     def values(self) -> float:
-        """Independent values of what is missed, mean over channels."""
-        return float(np.mean(independent_misses(self.misses)))
+        """The same, mean over channels."""
+        return float(np.mean(self.independent))
+
+    @cached_property
+    def error_elsewhere(self) -> float:
+        """Of each half of the records by values of the other half (``error_on_other_halves``)."""
+        return error_on_other_halves(self.assembly, self.fit, self.noise)
 
 
 def first_to_take_free_run(
@@ -137,7 +148,7 @@ def _fit_freely(now: _FreeRun, ranked: RankedCandidate) -> Rival | None:
     )
     if not fit.estimate.finite:
         return None
-    gain = free_run_gain(now.misses, _FreeRun(brief.assembly, fit).misses)
+    gain = free_run_gain(now.misses, _FreeRun(brief.assembly, fit).misses, now.independent)
     worth = gain - 0.5 * len(ranked.columns) * float(np.log(max(now.values, 1.0)))
     return replace(brief, fit=fit, gain=gain, worth=worth) if worth > 0 else None
 
@@ -148,8 +159,6 @@ def _chance_reason(now: _FreeRun, rival: Rival, level: float) -> str:
     p = free_run_level(rival.gain, now.values, known, added)
     if not p <= level:
         return f"what it takes of a free run may be chance (p = {p:.2g})"
-    ours = error_on_other_halves(now.assembly, now.fit, now.noise)
-    theirs = error_on_other_halves(rival.assembly, rival.fit, now.noise)
-    if not theirs < ours:
+    if not error_on_other_halves(rival.assembly, rival.fit, now.noise) < now.error_elsewhere:
         return "its values from one half of the records do not make the other's free run better"
     return ""
