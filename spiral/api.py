@@ -207,7 +207,8 @@ def discover(record: Records, system: Physics, **choices: Any) -> Run:
     choices :
         ``effects`` beside the seed's, ``without`` effects of the seed, ``values`` by full name,
         ``free`` and ``fixed`` parameters (``fixed`` by name, or with values); ``test`` records, or
-        the share ``holdout`` (0.2) that is kept apart, of each of ``holdout_blocks`` stretches (1);
+        the share ``holdout`` of the end that is kept apart (left out, a fifth, or up to half where
+        that hardly moves), of each of ``holdout_blocks`` stretches (1);
         ``settle`` seconds of the test to which only its initial state and phase are fitted;
         ``candidates`` (names, at every place where they fit; ``NAME@PLACE``, or effects, there
         alone; left out, all that fit);

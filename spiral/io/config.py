@@ -58,7 +58,7 @@ class Options:
     fixed: tuple[str, ...] = ()
     calibrate: bool | None = None
     uncertain: Any = None
-    holdout: float = 0.2
+    holdout: float | None = None
     holdout_blocks: int = 1
     settings: Any = field(default_factory=dict)
     run: str | None = None

@@ -58,9 +58,9 @@ def _is_of_freed(model: Model, effect: Effect) -> bool:
     return is_other_value(effect) and varied_key(model.system.place(effect)) in model.freed
 
 
-def check_holdout(share: float, blocks: int) -> None:
+def check_holdout(share: float | None, blocks: int) -> None:
     """Refuse a share or a number of blocks that leaves too little to fit or to test."""
-    if not 0.02 <= share <= 0.9:
+    if share is not None and not 0.02 <= share <= 0.9:
         raise ConfigError(f"holdout={share:g}", "a share between 0.02 and 0.9", "holdout=0.2")
     if not (isinstance(blocks, int) and 1 <= blocks <= MOST_BLOCKS):
         raise ConfigError(f"holdout_blocks={blocks}", f"a whole number from 1 to {MOST_BLOCKS}")
@@ -73,9 +73,12 @@ def check_settle(settle: float | None) -> None:
 
 
 def split_records(
-    records: tuple[Record, ...], test: tuple[Record, ...] | None, holdout: float, blocks: int = 1
-) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+    records: tuple[Record, ...], test: tuple[Record, ...] | None, holdout: float | None,
+    blocks: int = 1,
+) -> tuple[tuple[Record, ...], tuple[Record, ...]]:  # fmt: skip
     """Records to fit and to test; without a test the last share of each record is kept apart.
+
+    A share that is left out is a fifth, or up to half where that hardly moves.
 
     In ``blocks`` it is the last share of each of so many equal stretches, each of which then has an
     initial state of its own: a run-down is tested at all its speeds.
@@ -97,7 +100,7 @@ def pose_problem(
     records: tuple[Record, ...],
     test: tuple[Record, ...] | None,
     *,
-    holdout: float = 0.2,
+    holdout: float | None = None,
     holdout_blocks: int = 1,
     settle: float | None = None,
     candidates: Sequence[str | Effect] | None = None,

@@ -55,8 +55,9 @@ def check_rest(
     Parameters
     ----------
     compiled : the model with all effects in use. effects : those, under their own labels.
-    candidates : more of them, which are asked at rest alone: where the system itself is a number
-        only elsewhere, the records say whether they are (``undefined_effects_along``).
+    candidates : more of them, which are asked at rest alone, where the compiled model is no number:
+        where the system itself is one only elsewhere, the records say whether they are
+        (``undefined_effects_along``).
     known : values of parameters by name, in place of the system's own (``System.defaults``).
 
     Raises
@@ -64,7 +65,8 @@ def check_rest(
     PluginError : the name of the effect, or of the system whose own rates are no numbers.
     """
     values = {**system.defaults, **(known or {})}
-    if _is_all_finite(_evaluate_compiled_at_rest(compiled, values)):
+    parts = _evaluate_compiled_at_rest(compiled, values)
+    if _is_all_finite(parts):
         return
     bare = trace(system, ())
     asked = ((place, _evaluate_traced_at_rest(bare, values, place)) for place in _PLACES)
@@ -74,6 +76,8 @@ def check_rest(
         zero = [p.name for p in system.parameters if p.start == 0]
         raise _not_finite_error(f"system {system.title!r}", name, _PLACES[-1], zero)
     where, alone = finite
+    if where is _AT_ZERO and not _is_all_finite(alone) and np.isfinite(parts[0]).all():
+        return  # slopes of the system itself are no numbers there, and all effects have values
     for effect in (*effects, *(candidates if where is _AT_ZERO else ())):
         beside = _evaluate_traced_at_rest(trace(system, (effect,)), values, where)
         if (_is_all_finite(alone) and not _is_all_finite(beside)) or not np.isfinite(

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 
+_TEST_SHARES = (0.2, 0.3, 0.4, 0.5)  # of a record's end, kept apart where none is given
+_QUIET = 0.3  # share of a reading's deviation under which a part of a record hardly moves
 _MOST_MISSING = 0.5  # share of a channel's readings that may be missing and left out
 
 
@@ -342,8 +344,24 @@ def _check_hold(system: System, hold: Mapping[str, str] | str) -> dict[str, Inte
     return checked
 
 
-def split_off_test(record: Record, share: float) -> tuple[Record, Record]:
-    """The first part for fitting and the last ``share`` kept apart for the test."""
+def usual_test_share(record: Record) -> float:
+    """The share of a record's end that is kept apart where none is given: a fifth, or up to half.
+
+    The least of a few of which the second half moves: a reading deviates there by ``_QUIET`` of
+    what it does over the record. The first half may be needed to let the start settle, and a
+    machine at rest tells nothing of a model. A fifth where no share does, as of a long run-down.
+    """
+
+    def moves(share: float) -> bool:
+        last = round(record.samples * (1.0 - share / 2))
+        return any(np.std(v[last:]) >= _QUIET * np.std(v) for v in record.channels.values())
+
+    return next((share for share in _TEST_SHARES if moves(share)), _TEST_SHARES[0])
+
+
+def split_off_test(record: Record, share: float | None = None) -> tuple[Record, Record]:
+    """The first part for fitting and the last ``share`` (``usual_test_share``) for the test."""
+    share = usual_test_share(record) if share is None else share
     cut = round(record.samples * (1.0 - share))
     return (
         record.part(0, cut, record.name),

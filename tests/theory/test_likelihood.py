@@ -43,6 +43,10 @@ TERMS = {
     ),
     "drift": ((NoiseTerm("drift", "x"),), {"drift.x": 0.05}),
     "gust": ((NoiseTerm("gust", "observed"),), {"gust.observed": 0.3, "gust.time": 0.1}),
+    "smooth gust": (
+        (NoiseTerm("gust", "observed", 2),),
+        {"gust.observed": 0.3, "gust.time": 0.1},
+    ),
     "swell": (
         (NoiseTerm("swell", "observed"),),
         {"swell.observed": 0.3, "swell.time": 0.05, "swell.damping": 0.2},
@@ -127,6 +131,22 @@ def test_a_force_around_a_frequency_has_its_spectrum(order):
         whole_power = (size * task.rates[1]) ** 2  # of two poles 0.6 % lies beyond the quadrature
         near = (8e-3 if order == 2 else 2e-4) * whole_power
         assert found == pytest.approx(whole_power * power / whole, abs=near)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_force_that_lasts_has_its_autocovariance(order):
+    """a^2 exp(-t / T), or a^2 (1 + 2 t / T) exp(-2 t / T): the integral over t is a^2 T of both."""
+    task, settings = task_of(record_of(0, samples=64))
+    term, dt, time = NoiseTerm("gust", "observed", order), task.series.dt, 0.07
+    values = {term.size: 0.3, term.time: time}
+    parts = noise_matrices(task, settings, first_noise(task, 0.0).with_terms((term,), values))
+    n, acts = len(task.states), parts.driven[1] > 0
+    first, step, power = parts.p[n:, n:], parts.phi, (0.3 * task.rates[1]) ** 2
+    for k in range(12):
+        apart = order * k * dt / time
+        expected = power * np.exp(-apart) * (1.0 if order == 1 else 1.0 + apart)
+        result = (np.linalg.matrix_power(step, k) @ first)[acts][0, acts][0]
+        assert result == pytest.approx(expected, rel=1e-9)
 
 
 def test_white_noise_takes_the_place_of_terms_that_go():

@@ -13,6 +13,7 @@ from spiral.io.overrides import expand_sweep
 from spiral.io.problem_setup import split_records
 from spiral.io.registry import load_registry
 from spiral.types.errors import ConfigError, InputError, SpiralError
+from spiral.types.record import Record, split_off_test, usual_test_share
 from spiral.view.terminal.preview import describe_records, quiet_test_warning
 
 REGISTRY = load_registry()
@@ -365,3 +366,18 @@ def test_a_test_record_that_misses_what_was_excited_is_told(own_file, decay, blo
     warning = quiet_test_warning(describe_records(replace(problem, records=fitted, test=test)))
     assert ("misses what was excited" in warning) is said
     assert ("holdout_blocks=5" in warning) is said
+
+
+@pytest.mark.parametrize(
+    ("still_from", "share"), [(1.0, 0.2), (0.85, 0.4), (0.78, 0.5), (0.6, 0.2)]
+)
+def test_a_machine_that_comes_to_rest_is_tested_where_it_still_moves(still_from, share):
+    """The second half of what is kept apart moves; a fifth where no share has it so."""
+    time = 0.01 * np.arange(2000)
+    moving = np.where(time < 20 * still_from, np.sin(9 * time), 0.0)
+    record = Record("lift", time, {"x": moving}, {})
+    assert usual_test_share(record) == share
+    fitted, test = split_off_test(record)
+    assert test.samples == round(share * 2000) == 2000 - fitted.samples
+    assert f"last {share:.0%}, kept apart" in test.name
+    assert split_off_test(record, 0.1)[1].samples == 200

@@ -8,7 +8,7 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     vibration z'' = -2 d w0 z' - w0^2 z + w          a sensor's mount that rings at w0 / 2 pi
     drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
-    gust      z' = -z / T + w,  std a                acceleration with correlation time T
+    gust      (T/n d/dt + 1)^n z = w,  std a         acceleration with correlation time T
     swell     P_n(d/dt / w0) z = w                   acceleration of std a around w0 / 2 pi
 
 A reading that is no state (an acceleration) has what forces add to the rates that it is made of,
@@ -16,9 +16,10 @@ at once; a white force is then a value that is held for a sample.
 
 B_n is the Butterworth polynomial of the term's order n (2: s^2 + 2^(1/2) s + 1), as an anti-alias
 filter has it; P_n that of a Butterworth band-pass of n poles, 2 d w0 wide (2: s^2 + 2 d s + 1), of
-which the n/2-th derivative of z acts. Sizes are what a likelihood decides (``fit``), on a
-logarithmic scale. A gust's a and a swell's are shares of the standard deviation of the rate that
-they act on.
+which the n/2-th derivative of z acts. A gust of order 1 jumps from sample to sample, one of order 2
+is smooth, as what reaches a machine through something that fills or moves (Matern's 3/2). Sizes are
+what a likelihood decides (``fit``), on a logarithmic scale. A gust's a and a swell's are shares of
+the standard deviation of the rate that they act on.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ _UNSEEN = 10.0  # the same where nothing else moves the machine (a store alone: 
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8
 """Highest order of the low-pass of a ``band``, and most poles of a ``swell``."""
+SMOOTHEST = 2
+"""Highest order of a ``gust``."""
 _RINGING, _DEAD = 0.005, 0.2  # damping ratio of a vibration: beyond it is noise behind a low-pass
 _BROAD = 1.0  # largest damping ratio of a swell: its band is then as wide as its frequency
 
@@ -58,12 +61,17 @@ _BROAD = 1.0  # largest damping ratio of a swell: its band is then as wide as it
 class NoiseTerm:
     """One random force or sensor noise; ``where`` is a channel, or a group of states, or one state.
 
-    ``order`` is that of the low-pass of a ``band``, and the poles of the band-pass of a ``swell``.
+    ``order`` is that of the low-pass of a ``band`` or ``gust``, and the poles of the band-pass of a
+    ``swell``; left out, the lowest of its kind.
     """
 
     kind: Kind
     where: str
-    order: int = 2
+    order: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.order:
+            object.__setattr__(self, "order", 1 if self.kind == "gust" else 2)
 
     @property
     def size(self) -> str:
@@ -83,7 +91,7 @@ class NoiseTerm:
     @property
     def states(self) -> int:
         """Number of filter states that it adds for one channel or rate."""
-        shaped = {"band": self.order, "swell": self.order, "vibration": 2}
+        shaped = dict.fromkeys(("band", "swell", "gust"), self.order) | {"vibration": 2}
         return {"white": 0, "force": 0, **shaped}.get(self.kind, 1)
 
 
@@ -270,15 +278,10 @@ def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]
         return [replace(_white_block(spread[i]), state=int(i)) for i in at_once if spread[i] > 0]
     if not term.states:
         return []
-    if term.kind == "gust":
+    if term.kind in CORRELATED:
+        whole, shown = _shaped_block(dt, term, values), _acting_state(term.kind, term.order)
         return [
-            replace(_relaxation_block(dt, values[term.time], size * float(task.rates[i])), state=i)
-            for i in driven_states(task, term.where)
-        ]
-    if term.kind == "swell":
-        whole = _shaped_block(dt, term, values)
-        return [
-            replace(_scaled(whole, float(task.rates[i])), state=i, shown=term.order // 2)
+            replace(_scaled(whole, float(task.rates[i])), state=i, shown=shown)
             for i in driven_states(task, term.where)
         ]
     channel = task.compiled.traced.channels.index(term.where)
@@ -288,6 +291,11 @@ def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]
     if term.kind in ("band", "vibration"):
         return [replace(_shaped_block(dt, term, values), channel=channel)]
     return [replace(_relaxation_block(dt, values[term.time], size), channel=channel)]
+
+
+def _acting_state(kind: Kind, order: int) -> int:
+    """Of z, z', ... the one that acts."""
+    return order // 2 if kind == "swell" else 0
 
 
 def _scaled(block: _Block, scale: float) -> _Block:
@@ -311,14 +319,16 @@ def _relaxation_block(dt: float, time: float, size: float) -> _Block:
 def _shaped_block(dt: float, term: NoiseTerm, values: Mapping[str, float]) -> _Block:
     """White noise behind a low-pass, a resonance or a band-pass with w0 = 1 / time.
 
-    The states are z and its derivatives over the powers of w0. Stationary, the one that acts with
+    Of a gust of order n it is n / time, so that autocorrelation has the integral of order 1. The
+    states are z and its derivatives over the powers of w0. Stationary, the one that acts with
     the standard deviation ``size``.
     """
     from scipy.linalg import expm
 
     ratio = values[term.damping] if term.damping else None
     rate, first = _shaped_process(term.kind, term.order, ratio)
-    phi = expm(rate * dt / values[term.time])
+    time = values[term.time] / (term.order if term.kind == "gust" else 1)
+    phi = expm(rate * dt / time)
     first = first * values[term.size] ** 2
     return _Block(phi, first - phi @ first @ phi.T, first)
 
@@ -328,13 +338,15 @@ def _shaped_process(kind: Kind, order: int, ratio: float | None) -> tuple[Array,
     """Rates of z, z', ... of an all-pole process with w0 = 1, and their covariance.
 
     Of the state that acts it is one. Poles are those of Butterworth's low-pass of this order, of a
-    resonance with a damping ratio, or of Butterworth's band-pass around it.
+    resonance with a damping ratio, of Butterworth's band-pass around it, or of a gust: equal ones.
     """
     from scipy.linalg import companion, solve_continuous_lyapunov
     from scipy.signal import buttap, lp2bp_zpk
 
     if kind == "swell":
         poles = np.real(np.poly(lp2bp_zpk(*buttap(order // 2), bw=2.0 * (ratio or 0.0))[1]))
+    elif kind == "gust":
+        poles = np.poly(-np.ones(order))
     elif ratio is None:
         poles = np.real(np.poly(buttap(order)[1]))
     else:
@@ -343,5 +355,5 @@ def _shaped_process(kind: Kind, order: int, ratio: float | None) -> tuple[Array,
     drive = np.zeros((order, order))
     drive[-1, -1] = 1.0
     covariance = solve_continuous_lyapunov(rate, -drive)
-    acts = order // 2 if kind == "swell" else 0
+    acts = _acting_state(kind, order)
     return rate, covariance / covariance[acts, acts]

@@ -11,9 +11,8 @@ is taken first, until none is worth its penalty. Later, terms that are no longer
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +21,18 @@ from spiral.engine.filter.noise import driven_states, noise_groups
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import FilterInput, build_task
 from spiral.engine.likelihood.fit import MaximumLikelihood, maximise_likelihood
-from spiral.engine.likelihood.noise import EXTRA, STEEPEST, NoiseModel, NoiseTerm, size_limits
+from spiral.engine.likelihood.noise import (
+    EXTRA,
+    STEEPEST,
+    NoiseModel,
+    NoiseTerm,
+)
 from spiral.engine.likelihood.predict import FilterInputs, log_likelihood, predict_cases
 from spiral.engine.threads import run_in_threads
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.horizons import liveliest_stretch, tracked_deviations
 from spiral.inference.likelihood.fitting import (
+    LITTLE,
     LikelihoodFit,
     continue_fit,
     is_acting,
@@ -36,35 +41,25 @@ from spiral.inference.likelihood.fitting import (
     longest,
 )
 from spiral.inference.likelihood.needless_noise import drop_idle_terms, noise_penalty
+from spiral.inference.likelihood.noise_terms import (
+    GUST_TIMES,
+    AdditionalNoise,
+    additional_noise_terms,
+    initial_correlation_time,
+    initial_drift_size,
+    vibration_terms,
+)
 from spiral.inference.problem import DECISIVE_ODDS, Progress
-from spiral.types.invalid import bridged
 from spiral.types.noise import COLOURED, CORRELATED, FILTERED, FORCES, Kind
 
 _LOOK, _TUNE = 2, 10  # scoring steps of a first look at a term, and of those that keep up
 _TUNE_FIRST = 4  # of the latter before a term may be given up
 _KEEP = 0.7  # share of the best gain at first look that keeps up
-_SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
 _ROUNDS = 2
-_SEGMENT, _SHORT = 512, 32  # samples of a piece of a spectrum, at most and at least
-_STANDS_OUT = 4.0  # times the median power from which a line may be one
-_OWN_LINE = (
-    0.25  # share of a reading's power at a line, half of its amplitude, that is missed there
-)
 _GUST_SIZES = (1e-4, 1e-3, 4e-3, 0.015, 0.05)  # of a gust beside forces that are there already
 _SWELL_SIZES = (0.01, 0.1)  # of a force in place of a sensor that rings
-_GUST, _GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
 _MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
-_NEXT = 8  # samples over which the most coloured channel is looked for
-_NARROW = 0.1  # damping ratio that a line begins with
-_MOST_STEEP = 12  # states of a steeper force: with n of them a sample costs n^3
-
-
-@dataclass(frozen=True)
-class AdditionalNoise:
-    """One step of the selection: noise terms added together, with start values of all sizes."""
-
-    terms: tuple[NoiseTerm, ...]
-    values: dict[str, float]
+MOST_STEEP = 12  # states of a steeper force: with n of them a sample costs n^3
 
 
 class _TermTrial(NamedTuple):
@@ -181,9 +176,14 @@ def _select_force_location(assembly: Assembly, fit: LikelihoodFit) -> Likelihood
 
 
 def _alternative_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
-    """Noise models in which a force acts on one state of its group alone, or is correlated."""
+    """Noise models in which a force acts on one state of its group alone, or is correlated.
+
+    One that is not small may be another: white on states that no sensor sees, it is coloured where
+    it reaches the readings, as a smaller one that lasts is on a state that is measured.
+    """
     task, noise = at.prepared[0][0], at.noise
     shared = shared_groups(task)
+    anywhere = (*noise_groups(task), *(task.states[i] for s in shared.values() for i in s))
     for term in (t for t in noise.terms if t.kind in FORCES):
         if not is_acting(task, noise, term):
             continue
@@ -195,9 +195,10 @@ def _alternative_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
             yield others.with_terms((one,), {**times, one.size: size})
         if term.kind in CORRELATED or noise.has_kind("gust"):
             continue
-        for one in (NoiseTerm("gust", where) for where in (term.where, *states)):
+        near = (term.where, *states) if size <= LITTLE else anywhere
+        for one in (NoiseTerm("gust", where) for where in near):
             yield others.with_terms(
-                (one,), {one.size: size, one.time: _initial_correlation_time(task, _GUST_TIMES[0])}
+                (one,), {one.size: size, one.time: initial_correlation_time(task, GUST_TIMES[0])}
             )
 
 
@@ -248,7 +249,7 @@ def _separate_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
             yield others.with_terms(each, kept | {t.size: size for t in each})
     for state in (task.states[i] for s in shared.values() for i in s if not noise.has_kind("gust")):
         one = NoiseTerm("gust", state)
-        time = _initial_correlation_time(task, _GUST_TIMES[0])
+        time = initial_correlation_time(task, GUST_TIMES[0])
         begun = _likeliest_size(at, noise.with_terms((one,), {one.time: time}), one.size)
         if begun is not None:
             yield begun
@@ -265,11 +266,6 @@ def _likeliest_size(at: MaximumLikelihood, noise: NoiseModel, name: str) -> Nois
     heights = [log_likelihood(p) for p in parts]
     best = int(np.argmax(heights))
     return trials[best] if heights[best] > at.log_likelihood else None
-
-
-def _initial_correlation_time(task: FilterInput, share: float) -> float:
-    """A correlation time to begin with, as a share of the record; three samples at least."""
-    return max(share * task.series.dt * task.series.samples, 3 * task.series.dt)
 
 
 def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
@@ -290,7 +286,7 @@ def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
         gain = look.log_likelihood - noise_penalty(noise, at.noise, part) - now.log_likelihood
         return _TermTrial(gain, look.noise, addition.terms[0].kind)
 
-    offered = (*additional_noise_terms(now), *_vibration_terms(now))
+    offered = (*additional_noise_terms(now), *vibration_terms(now))
     looks = run_in_threads(look_at, offered, longest(part))
     best = max(looks, key=lambda x: x.gain, default=None)
     if best is None:
@@ -370,7 +366,7 @@ def raise_filter_order(at: MaximumLikelihood) -> MaximumLikelihood:
         while at.finite and (filtered := [t for t in at.noise.terms if t.kind == kind]):
             order, task = filtered[0].order + 2, at.prepared[0][0]
             pushed = sum(len(driven_states(task, t.where)) for t in filtered if kind in FORCES)
-            if order > STEEPEST or order * pushed > _MOST_STEEP:
+            if order > STEEPEST or order * pushed > MOST_STEEP:
                 break
             terms = tuple(replace(t, order=order) if t in filtered else t for t in at.noise.terms)
             more = tune_noise(at.prepared, replace(at.noise, terms=terms))
@@ -392,88 +388,3 @@ def _liveliest_part(at: MaximumLikelihood) -> FilterInputs:
     )
     short = replace(short, moved=task.moved)
     return (filter_prepared(short, settings.tracked, tracked_deviations(settings.tracked)),)
-
-
-def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
-    """The noise terms that may be added next.
-
-    Noise of a sensor that a random force has made superfluous starts at half the innovations' rms.
-    """
-    task, noise = now.prepared[0][0], now.noise
-    channels, dt = task.compiled.traced.channels, task.series.dt
-    missed = np.sqrt(np.mean(now.predictions[0].misses ** 2, axis=0))
-    white = {
-        c: max(noise.values[f"white.{c}"], size_limits(task, f"white.{c}")[0], 0.5 * float(m))
-        for c, m in zip(channels, missed, strict=True)
-    }
-    if not noise.has_kind("coloured") and not noise.has_kind("band"):
-        kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
-        alone = {channels, (_most_coloured_channel(now),)}  # one sensor does not pay for the others
-        for (kind, steps), some in itertools.product(kinds, sorted(alone, key=len, reverse=True)):
-            terms = tuple(NoiseTerm(kind, c) for c in some)
-            sizes = {t.size: _SHARED * white[t.where] for t in terms}
-            less = {f"white.{c}": _SHARED * white[c] for c in some}
-            yield AdditionalNoise(terms, sizes | less | {f"{kind}.time": steps * dt})
-    for term in (NoiseTerm("drift", c) for c in channels):
-        if term not in noise.terms:
-            yield AdditionalNoise((term,), {term.size: initial_drift_size(task, term.where)})
-    if not noise.has_kind("gust"):
-        terms = tuple(NoiseTerm("gust", g) for g in noise_groups(task))
-        for values in initial_gust_sizes(task, terms):
-            yield AdditionalNoise(terms, values)
-
-
-def _most_coloured_channel(now: MaximumLikelihood) -> str:
-    """The channel whose misses are correlated most over the next few samples, in squares."""
-    whitened = now.predictions[0].whitened
-    count = min(_NEXT, len(whitened) // 2)
-    lags = [np.sum(whitened[k:] * whitened[:-k], axis=0) ** 2 for k in range(1, count + 1)]
-    coloured = np.sum(lags, axis=0) / np.maximum(np.sum(whitened**2, axis=0), 1e-300) ** 2
-    return now.prepared[0][0].compiled.traced.channels[int(np.argmax(coloured))]
-
-
-def initial_drift_size(task: FilterInput, channel: str) -> float:
-    """A sensor's drift to begin with: over the record a tenth of what it reads."""
-    j, series = task.compiled.traced.channels.index(channel), task.series
-    return 0.1 * float(np.std(series.y[:, j])) / float(np.sqrt(series.dt * series.samples))
-
-
-def initial_gust_sizes(task: FilterInput, terms: Sequence[NoiseTerm]) -> Iterator[dict[str, float]]:
-    """Initial sizes of correlated forces with their correlation time, a short and a long one."""
-    for share in _GUST_TIMES:
-        sizes = {t.size: _GUST for t in terms}
-        yield sizes | {t.time: _initial_correlation_time(task, share) for t in terms}
-
-
-def _vibration_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
-    """A narrow-band noise term for each sensor whose innovations have a clear spectral line.
-
-    At a frequency at which the machine moves, misses are of the model: only a line that is mostly
-    missed is the sensor's own.
-    """
-    from scipy.signal import welch
-
-    if now.noise.has_kind("vibration"):
-        return
-    task, part = now.prepared[0][0], now.predictions[0]
-    length = int(min(_SEGMENT, task.series.samples // 4))
-    if length < _SHORT:
-        return
-    for j, channel in enumerate(task.compiled.traced.channels):
-        hertz, power = welch(part.whitened[:, j], 1 / task.series.dt, nperseg=length)
-        inner = slice(2, len(power) - 1)
-        top = 2 + int(np.argmax(power[inner]))
-        if not power[top] > _STANDS_OUT * np.median(power[inner]):
-            continue
-        read = bridged(task.series.y[:, j], part.spreads[:, j] == 0)
-        missed, shown = (
-            welch(signal, 1 / task.series.dt, nperseg=length)[1][top]
-            for signal in (part.misses[:, j], read)
-        )
-        if not missed >= _OWN_LINE * shown:
-            continue
-        term = NoiseTerm("vibration", channel)
-        white = now.noise.values[f"white.{channel}"]
-        size = max(white, size_limits(task, f"white.{channel}")[0])
-        time = 1 / (2 * np.pi * float(hertz[top]))
-        yield AdditionalNoise((term,), {term.size: size, term.time: time, term.damping: _NARROW})

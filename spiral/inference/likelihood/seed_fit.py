@@ -58,7 +58,8 @@ from spiral.inference.likelihood.fitting import (
 )
 from spiral.inference.likelihood.initial_states import far_initial_states, refit_initial_states
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
-from spiral.inference.likelihood.noise_selection import initial_drift_size, select_noise_model
+from spiral.inference.likelihood.noise_selection import select_noise_model
+from spiral.inference.likelihood.noise_terms import initial_drift_size
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.types.noise import CORRELATED, FORCES
 

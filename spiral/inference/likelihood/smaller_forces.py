@@ -1,4 +1,4 @@
-"""Replaces a large white force on hidden states by a smaller correlated one on one state.
+"""Replaces a large random force by a smaller correlated one on one state, or by a smooth one.
 
 A white force on a state that no sensor sees reaches the readings through the machine, and is
 coloured there. A force with a correlation time on a state that is measured looks the same: misses
@@ -9,27 +9,30 @@ second is small; so where a fit ends with a force that is no explanation, the se
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.noise import noise_groups
+from spiral.engine.filter.noise import driven_states, noise_groups
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.fit import MaximumLikelihood
-from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm
+from spiral.engine.likelihood.noise import SMOOTHEST, NoiseModel, NoiseTerm
 from spiral.engine.likelihood.predict import FilterInputs
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.likelihood.fitting import (
+    LITTLE,
     LikelihoodFit,
     continue_fit,
     innovation_whiteness,
     largest_force,
 )
 from spiral.inference.likelihood.noise_selection import (
-    initial_gust_sizes,
+    MOST_STEEP,
     shared_groups,
     tune_noise,
     worth_beside,
 )
+from spiral.inference.likelihood.noise_terms import initial_gust_sizes
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.types.noise import CORRELATED
 
@@ -43,30 +46,47 @@ def replace_large_forces(
 
     Of the groups of states, and of single states, the likeliest. It is taken where it is below that
     limit, leaves misses that are white, or no less so than before, and the odds against it are less
-    than 100 to one once all numbers are paid for; one above the limit where it is likelier, and at
-    most half as large. Nothing where no force is as large, or none is taken.
+    than 100 to one once all numbers are paid for; one above the limit where it is smaller than the
+    largest before, and likelier by these odds. Nothing where no force is as large, or none is
+    taken.
     """
     limit, at = assembly.problem.settings.random_limit, fit.estimate
-    if not at.finite or not largest_force(at.noise) > limit:
+    if not at.finite or not (before := largest_force(at.noise)) > limit:
         return None
     progress("trying a smaller, correlated random force")
     noises = list(_small_force_models(at.prepared[0][0], at.noise, limit))
     looks = likeliest_noises(at.prepared, noises)
-    fits = fit_beside_small_forces(
-        assembly, fit, looks, -float(np.log(DECISIVE_ODDS)), half_as_large(at.noise, limit)
-    )
-    likelier = at.log_likelihood
+    odds = float(np.log(DECISIVE_ODDS))
     fits = [
-        f for f in fits if largest_force(f.estimate.noise) <= limit or f.log_likelihood > likelier
-    ]
+        f for f in fit_beside_small_forces(assembly, fit, looks, -odds, before)
+        if largest_force(f.estimate.noise) <= limit or worth_beside(f.estimate, at) > odds
+    ]  # fmt: skip
     least = min(innovation_whiteness(assembly, fit).p, assembly.problem.settings.whiteness_level)
     white = [f for f in fits if innovation_whiteness(assembly, f).p >= least]
     return max(white, key=lambda f: f.log_likelihood, default=None)
 
 
-def half_as_large(noise: NoiseModel, limit: float) -> float:
-    """The largest force that takes the place of a larger one: ``limit``, or half of that."""
-    return max(limit, 0.5 * largest_force(noise))
+def smooth_large_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit | None:
+    """The fit with correlated forces that are smooth (a gust of order 2); nothing if not likelier.
+
+    By the odds of any other noise: heat through doors, a load that a spring passes on. Beside a
+    force that jumps from sample to sample in its place misses are coloured, and effects are found
+    that make up for it. What a model lacks is smooth, too, and such a force would explain it, so
+    that it is not tried before effects are. How smooth a small force is matters to nothing.
+    """
+    at, odds = fit.estimate, float(np.log(DECISIVE_ODDS))
+    gusts = [t for t in at.noise.terms if t.kind == "gust" and t.order < SMOOTHEST]
+    if not at.finite or not gusts or largest_force(at.noise) <= LITTLE:
+        return None
+    pushed = sum(len(driven_states(at.prepared[0][0], t.where)) for t in gusts)
+    if SMOOTHEST * pushed > MOST_STEEP:
+        return None
+    terms = tuple(replace(t, order=SMOOTHEST) if t in gusts else t for t in at.noise.terms)
+    smooth = tune_noise(at.prepared, replace(at.noise, terms=terms))
+    if not smooth.log_likelihood > at.log_likelihood + odds:
+        return None
+    likelier = continue_fit(assembly, fit, smooth.noise, rough=True)
+    return likelier if likelier.log_likelihood > at.log_likelihood + odds else None
 
 
 def likeliest_noises(
@@ -95,7 +115,10 @@ def fit_beside_small_forces(
 
 
 def _small_force_models(task: FilterInput, noise: NoiseModel, limit: float) -> Iterator[NoiseModel]:
-    """Noise models with one correlated force in place of large white and all correlated ones."""
+    """Noise models with one correlated force in place of large white and all correlated ones.
+
+    From a few small sizes, and from that of the largest force in whose place it is.
+    """
     kept = noise.select_terms(
         t for t in noise.terms
         if t.kind not in CORRELATED and not (t.kind == "force" and noise.values[t.size] > limit)
@@ -103,5 +126,6 @@ def _small_force_models(task: FilterInput, noise: NoiseModel, limit: float) -> I
     states = (task.states[i] for s in shared_groups(task).values() for i in s)
     for where in (*noise_groups(task), *states):
         one = NoiseTerm("gust", where)
-        for values in initial_gust_sizes(task, (one,)):
+        small = list(initial_gust_sizes(task, (one,)))
+        for values in (*small, {**small[0], one.size: largest_force(noise)}):
             yield kept.with_terms((one,), values)

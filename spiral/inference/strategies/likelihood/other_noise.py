@@ -1,12 +1,14 @@
 """Other noise models, tried where no missing effect explains the residual.
 
 Noise may grow with its reading; a random force that is no explanation may be one with a memory,
-smaller and on one state alone; and one may act around a frequency.
+smaller and on one state alone; it may be smooth, or act around a frequency.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+
+import numpy as np
 
 from spiral.inference.evidence.assembly import Assembly, with_records
 from spiral.inference.evidence.fit_state import FitState
@@ -18,12 +20,18 @@ from spiral.inference.likelihood.fitting import (
     fit_by_likelihood,
     is_white,
     largest_force,
+    schwarz_penalty,
 )
+from spiral.inference.likelihood.noise_selection import worth_beside
 from spiral.inference.likelihood.resonant_forces import add_resonant_force
 from spiral.inference.likelihood.seed_fit import best_fit
-from spiral.inference.likelihood.smaller_forces import half_as_large, replace_large_forces
-from spiral.inference.problem import Progress
+from spiral.inference.likelihood.smaller_forces import (
+    replace_large_forces,
+    smooth_large_forces,
+)
+from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.inference.strategies.base import RefittedModel
+from spiral.inference.strategies.likelihood.accepted import WholeRecordFit
 from spiral.inference.strategies.likelihood.superfluous import drop_superfluous_effects
 from spiral.inference.strategies.likelihood.whole_fit import compare_likelihood_fit, finish_fit
 
@@ -78,16 +86,59 @@ def refit_with_smaller_forces(
 
     Nothing where they are not, or where the record does not have it so.
     """
+    fit = _fit_with_smaller_forces(assembly, state, progress)
+    return None if fit is None else _compare_without_needless(assembly, fit, progress)
+
+
+def refit_in_place_of(
+    passed: WholeRecordFit, assembly: Assembly, state: FitState, progress: Progress
+) -> RefittedModel | None:
+    """The model beside other forces, where these do what an effect that ``passed`` does.
+
+    Beside an effect that leaves a random force too large to explain anything, that force may be
+    what is wrong. Nothing where the model with the effect is likelier by the odds of any other
+    choice: it is right in any case. ``assembly``, ``state`` : the model without it.
+    """
+    with_it = passed.fit.estimate
+    if largest_force(with_it.noise) <= assembly.problem.settings.random_limit:
+        return None
+    fit = _fit_with_smaller_forces(assembly, state, progress)
+    fit = fit or smooth_large_forces(assembly, fit_by_likelihood(assembly, state, rough=True))
+    if fit is None:
+        return None
+    fewer = len(with_it.keys) - len(fit.estimate.keys)
+    gain = worth_beside(with_it, fit.estimate) - schwarz_penalty(max(fewer, 0), with_it.prepared)
+    if gain > np.log(DECISIVE_ODDS):
+        return None
+    return _compare_without_needless(assembly, fit, progress)
+
+
+def _fit_with_smaller_forces(
+    assembly: Assembly, state: FitState, progress: Progress
+) -> LikelihoodFit | None:
+    """The fit beside smaller forces than the state's, if any is too large to explain anything."""
     limit = assembly.problem.settings.random_limit
-    if state.noise is None or not largest_force(state.noise) > limit:
+    if state.noise is None or not (before := largest_force(state.noise)) > limit:
         return None
     fit = replace_large_forces(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
     if fit is None:
         return None
     fit = finish_fit(assembly, fit, progress)
-    if largest_force(fit.estimate.noise) > half_as_large(state.noise, limit):
+    return fit if largest_force(fit.estimate.noise) < before else None
+
+
+def refit_with_smooth_force(
+    assembly: Assembly, state: FitState, progress: Progress
+) -> RefittedModel | None:
+    """The model as it is, with large forces that are smooth; nothing where misses are white."""
+    fit = fit_by_likelihood(assembly, state, rough=True)
+    if is_white(assembly, fit):
         return None
-    return _compare_without_needless(assembly, fit, progress)
+    progress("trying a random force that is smooth")
+    smooth = smooth_large_forces(assembly, fit)
+    if smooth is None:
+        return None
+    return _compare_without_needless(assembly, finish_fit(assembly, smooth, progress), progress)
 
 
 def refit_with_resonant_force(

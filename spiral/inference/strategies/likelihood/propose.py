@@ -47,9 +47,11 @@ from spiral.inference.strategies.likelihood.laws import (
 from spiral.inference.strategies.likelihood.look_alikes import recheck_admitted
 from spiral.inference.strategies.likelihood.memory_rounds import find_missing_memory
 from spiral.inference.strategies.likelihood.other_noise import (
+    refit_in_place_of,
     refit_with_noise_growth,
     refit_with_resonant_force,
     refit_with_smaller_forces,
+    refit_with_smooth_force,
 )
 from spiral.inference.strategies.likelihood.race_round import (
     RoundInput,
@@ -111,13 +113,20 @@ def _is_of_another_time(assembly: Assembly, state: FitState) -> bool:
 def _decided_step(
     asked: RoundInput, assembly: Assembly, state: FitState, contest: TestedCandidates
 ) -> Step[ScoredRound] | None:
-    """The step of a contest that has decided something; nothing where no candidate passed."""
+    """The step of a contest that has decided something; nothing where no candidate passed.
+
+    Beside an effect that leaves much to chance, the model without it may be as likely with other
+    forces: candidates are asked once more beside those.
+    """
     if contest.other is not None:
         return _propose_with_other_interpolation(
             asked.options, assembly, contest.other, asked.number, asked.progress
         )
     if not contest.passed:
         return None
+    other = refit_in_place_of(contest.passed[-1].whole, assembly, state, asked.progress)
+    if other is not None:
+        return _propose_after_refit(asked.options, assembly, other, asked.number, asked.progress)
     return _admitting_step(
         asked.options, assembly, state, contest.passed, contest.scored, contest.outcome
     )
@@ -127,10 +136,10 @@ def _step_without_candidate(
     asked: RoundInput, contest: TestedCandidates, searched: TestedCandidates,
     step: Step[ScoredRound], beyond: bool,
 ) -> Step[ScoredRound]:  # fmt: skip
-    """The step where no candidate passes: other noise, then what no candidate is, then waves.
+    """The step where no candidate passes: other noise, what no candidate is, smooth forces, waves.
 
-    Beside waves candidates are asked once more. What no candidate is was not found where more was
-    left to explain, and is not looked for again. Beside a model that is near its noise waves would
+    Beside these candidates are asked once more. What no candidate is was not found where more was
+    left to explain, and is not looked for again. Beside a model that is near its noise they would
     explain colour of which next to nothing follows the motion: no effect that counts is behind it.
 
     ``contest`` : of all samples. ``searched`` : of those on which what no candidate is is looked
@@ -144,7 +153,8 @@ def _step_without_candidate(
         left = _step_for_unexplained(asked, searched, step) if beyond else step
         if left is not step or step.stopped == "whiteness":
             return left
-        other = refit_with_resonant_force(assembly, state, progress)
+        other = refit_with_smooth_force(assembly, state, progress)
+        other = other or refit_with_resonant_force(assembly, state, progress)
         if other is None:
             return left
         beyond = False
