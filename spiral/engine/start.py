@@ -57,8 +57,16 @@ def smoothed_motion(study: CompiledStudy, series: Series, window: int) -> Motion
         states[:, traced.states.index(name)] = _integrate_rate(rate, series)
         if traced.acceleration:
             acceleration[:, traced.states.index(name)] = smooth[0][:, channel]
-    fill_declared_starts(traced, states, sample_inputs(series.inputs, series.substeps), smooth[0])
+    inputs = sample_inputs(series.inputs, series.substeps)
+    fill_declared_starts(traced, states, inputs, smooth[0], known=measured_states(traced))
     return Motion(states, acceleration)
+
+
+def measured_states(traced: TracedModel) -> frozenset[str]:
+    """States that readings tell, rates among them, wherever they are declared to begin."""
+    told = {*traced.shown, *traced.accelerated}
+    rates = {traced.rate_name(name) for name in told}
+    return frozenset((told | rates) & {*traced.states})
 
 
 def _integrate_rate(rate: Array, series: Series) -> Array:

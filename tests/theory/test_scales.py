@@ -10,6 +10,7 @@ from spiral_plugins.sources.simulation import Simulation
 from spiral_plugins.strategies.shooting import Shooting
 from spiral_plugins.systems.oscillator import Oscillator
 
+import spiral
 from spiral.inference.discover import discover
 from spiral.inference.evidence.assembly import assemble, initial_values
 from spiral.inference.evidence.scales import (
@@ -23,6 +24,7 @@ from spiral.types.effect import ForceEffect
 from spiral.types.model import seed_model
 from spiral.types.parameter import Input, Parameter, State
 from spiral.types.port import Port
+from spiral.types.record import make_record
 from spiral.types.system import MechanicalSystem
 from tests.scenes import admitted, effect
 
@@ -208,3 +210,41 @@ def test_shapes_that_nobody_gave_are_the_middle_of_their_grids(records):
     assert added == known | {"coulomb_friction@load.width": pytest.approx(width)}
     assert scaled == ("coulomb_friction@load.width",)
     assert with_scaled_shapes(found, records[:1]) == (found, ())
+
+
+def _warm_plate(start):
+    """A plate whose temperature is measured, declared to begin at ``start``, and a hidden store."""
+    system = spiral.system(
+        ["C*T' = P - h*(T - To) - g*(T - S)", "D*S' = g*(T - S)"],
+        states={"T": {"unit": "K", "start": start}, "S": {"unit": "K", "like": "T"}},
+        inputs={"P": "W", "To": "K"}, observed=["T"], free=["h", "g"],
+        parameters={"C": (400.0, "J/K"), "D": (900.0, "J/K"), "h": (3.0, "W/K"), "g": (2.0, "W/K")},
+    )  # fmt: skip
+    time = np.arange(400.0)
+    power = 60.0 * (np.sin(time / 30) > 0)
+    warm = 310.0 + 8.0 * np.sin(time / 30 - 1.2)
+    return make_record(
+        system, "plate", time, {"T": warm}, {"P": power, "To": 0 * time + 293}
+    ), system
+
+
+def test_a_measured_state_moves_wherever_it_is_declared_to_begin():
+    """It stood still where a definition says its start: shapes were scaled by that one value."""
+    seen = []
+    for start in (0.0, 305.0):
+        record, system = _warm_plate(start)
+        (states,) = states_along_records(seed_model(system), (record,))
+        seen.append(states[:, 0])
+        assert np.ptp(states[:, 0]) == pytest.approx(16.0, rel=0.02)
+    np.testing.assert_allclose(seen[0], seen[1])
+
+
+def test_a_reference_that_nobody_gave_is_the_middle_of_what_it_is_counted_from():
+    """A temperature in K: from zero, a parabola over 302 to 318 K is one with the constant."""
+    record, system = _warm_plate(305.0)
+    model = seed_model(system).add(effect("quadratic_change", port="h-T"))
+    found, scaled = with_scaled_shapes(model, (record,))
+    assert scaled == ("quadratic_change@h-T.reference",)
+    assert found.values[scaled[0]] == pytest.approx(310.0, abs=0.5)
+    given = seed_model(system).add(effect("quadratic_change", port="h-T"), {scaled[0]: 300.0})
+    assert with_scaled_shapes(given, (record,)) == (given, ())

@@ -410,5 +410,6 @@ def _first_state(compiled: CompiledModel, series: Series, mapping: StaticMap | N
         hidden = mapping.matrix @ [start[names.index(n)] for n in mapping.observed]
         for name, value in zip(mapping.hidden, hidden, strict=True):
             start[names.index(name)] = value
-    fill_declared_starts(compiled.traced, start, series.inputs[0], series.y[0])
+    told = compiled.traced.shown
+    fill_declared_starts(compiled.traced, start, series.inputs[0], series.y[0], known=told)
     return start

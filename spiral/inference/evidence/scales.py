@@ -30,7 +30,7 @@ from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.setup import prepare_filter, with_level
 from spiral.engine.filter.task import build_task, run_from_rest
 from spiral.engine.series import Series, prepare_series, sample_inputs
-from spiral.engine.start import smoothed_motion
+from spiral.engine.start import measured_states, smoothed_motion
 from spiral.engine.study import CompiledStudy
 from spiral.inference.evidence.spectrum import frequency_band, frequency_shapes
 from spiral.physics.compile import compile_model
@@ -179,7 +179,8 @@ def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) 
 def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model, tuple[str, ...]]:
     """A model whose effects have all their shapes, and the full names of those that were lacking.
 
-    A shape that was given no value takes the middle of its grid; a frequency, or a time, the middle
+    A shape that was given no value takes the middle of its grid, a reference the middle of what it
+    is counted from where that is far from zero; a frequency, or a time, the middle
     of the band that the records can show (geometric), whatever it starts from elsewhere.
     """
     lacking = {
@@ -210,7 +211,8 @@ def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model
 
 
 def _lacks_value(model: Model, effect: Effect, parameter: Parameter) -> bool:
-    scaled = parameter.spectrum or (parameter.grid and parameter.start is None)
+    lacking = parameter.start is None or parameter.centre
+    scaled = parameter.spectrum or (parameter.grid and lacking)
     return (
         bool(parameter.role == "shape" and scaled)
         and f"{effect.label}.{parameter.name}" not in model.values
@@ -246,8 +248,7 @@ def states_along_records(model: Model, records: tuple[Record, ...]) -> tuple[Arr
 
 def _states_from_channels(traced: TracedModel) -> set[str]:
     """States that ``motion`` takes from channels: measured, rates of such, and those like one."""
-    known = {*traced.shown, *traced.accelerated}
-    return known | {traced.rate_name(c) for c in known} | {name for name, _ in traced.like}
+    return {*measured_states(traced), *(name for name, _ in traced.like)}
 
 
 def _infer_states(model: Model, series: Series) -> Array:
