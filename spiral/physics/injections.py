@@ -62,6 +62,13 @@ def with_rates_of_states(
     own = [(i, v) for i, v in zip(placed, seen, strict=True) if i.effect in system.seed]
     pushed = sum_injections(system, [i for i, _ in own], [v for _, v in own], x)
     rates = system_rates(system, x, u, p, pushed)
+    entered = dict.fromkeys(i.port.axes[0] for i in placed if is_path(i.effect))
+    more = {into: sp.Symbol(f"pushed_{into}", real=True) for into in entered}
+    raised = rates
+    if more:
+        raised = system_rates(
+            system, x, u, p, {**pushed, **{n: pushed[n] + m for n, m in more.items()}}
+        )
 
     def with_rates(item: PlacedEffect) -> PlacedEffect:
         velocity = tuple(sp.sympify(rates[name]) for name in item.port.axes)
@@ -70,12 +77,13 @@ def with_rates_of_states(
     def with_path(item: PlacedEffect) -> PlacedEffect:
         (into,), (driver,) = item.port.axes, item.at.position
         row = state_entered(system, into)
-        more = sp.Symbol("pushed", real=True)
-        raised = system_rates(system, x, u, p, {**pushed, into: pushed[into] + more})[row]
-        gain, rate = sp.diff(raised, more), sp.sympify(rates[row])
+        alone = sp.sympify(raised[row]).xreplace(
+            {m: sp.S.Zero for n, m in more.items() if n != into}
+        )
+        gain, rate = sp.diff(alone, more[into]), sp.sympify(rates[row])
 
         def along_path(value: Any) -> Any:
-            return (rate.subs(driver, value) - rate) / gain
+            return (rate.xreplace({driver: sp.sympify(value)}) - rate) / gain
 
         return replace(item, at=replace(item.at, along_path=along_path))
 

@@ -18,6 +18,7 @@ import numpy as np
 from spiral.physics.compile import CompiledModel
 from spiral.physics.starts import fill_declared_starts
 from spiral.physics.trace import TracedModel, trace
+from spiral.types.cache import kept
 from spiral.types.effect import Effect
 from spiral.types.errors import PluginError
 from spiral.types.parameter import Parameter
@@ -79,11 +80,22 @@ def check_rest(
     if where is _AT_ZERO and not _is_all_finite(alone) and np.isfinite(parts[0]).all():
         return  # slopes of the system itself are no numbers there, and all effects have values
     for effect in (*effects, *(candidates if where is _AT_ZERO else ())):
-        beside = _evaluate_traced_at_rest(trace(system, (effect,)), values, where)
-        if (_is_all_finite(alone) and not _is_all_finite(beside)) or not np.isfinite(
-            beside[0]
-        ).all():
+        if not _is_number_beside(system, effect, tuple(values.items()), where):
             raise _not_finite_error(f"effect {effect.label!r}", effect.plugin_name(), where)
+
+
+@kept(1024)
+def _is_number_beside(
+    system: System, effect: Effect, known: tuple[tuple[str, float], ...], where: _Rest
+) -> bool:
+    """Whether a system with an effect is a number, and its slopes where they are without it.
+
+    Every study of the same problem asks this of all candidates: once for each.
+    """
+    values = dict(known)
+    alone = _evaluate_traced_at_rest(trace(system, ()), values, where)
+    beside = _evaluate_traced_at_rest(trace(system, (effect,)), values, where)
+    return _is_all_finite(beside if _is_all_finite(alone) else beside[:1])
 
 
 def is_finite_along(compiled: CompiledModel, row: Array, states: Array, inputs: Array) -> bool:

@@ -193,6 +193,13 @@ def is_other_value(effect: object) -> TypeGuard[ParameterEffect]:
     return isinstance(effect, ParameterEffect) and effect.steady
 
 
+def is_plain_change(effect: object) -> TypeGuard[ParameterEffect]:
+    """Whether an effect is a parameter's change without shapes to be searched: a line, a power."""
+    if not isinstance(effect, ParameterEffect) or effect.steady or effect.bare:
+        return False
+    return all(len(p.grid) <= 1 for p in effect.parameters)
+
+
 def is_path(effect: object) -> TypeGuard[StateFlow]:
     """Whether an effect changes how a state acts on another."""
     return isinstance(effect, StateFlow) and effect.driver == "path"

@@ -135,7 +135,7 @@ def test_a_force_around_a_frequency_has_its_spectrum(order):
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_force_that_lasts_has_its_autocovariance(order):
-    """a^2 exp(-t / T), or a^2 (1 + 2 t / T) exp(-2 t / T): the integral over t is a^2 T of both."""
+    """a^2 exp(-t / T), or a^2 (1 + 2 t / T) exp(-2 t / T)."""
     task, settings = task_of(record_of(0, samples=64))
     term, dt, time = NoiseTerm("gust", "observed", order), task.series.dt, 0.07
     values = {term.size: 0.3, term.time: time}
@@ -147,6 +147,22 @@ def test_a_force_that_lasts_has_its_autocovariance(order):
         expected = power * np.exp(-apart) * (1.0 if order == 1 else 1.0 + apart)
         result = (np.linalg.matrix_power(step, k) @ first)[acts][0, acts][0]
         assert result == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+def test_the_time_of_a_force_is_the_integral_of_its_autocorrelation(order):
+    """Whatever its order, by the trapezoidal rule; its standard deviation is its size."""
+    task, settings = task_of(record_of(0, samples=64))
+    term, time = NoiseTerm("gust", "observed", order), 40 * task.series.dt
+    values = {term.size: 0.3, term.time: time}
+    parts = noise_matrices(task, settings, first_noise(task, 0.0).with_terms((term,), values))
+    n, acts = len(task.states), parts.driven[1] > 0
+    ahead, told = parts.p[n:, n:], []
+    for _ in range(1000):
+        told.append(ahead[acts][0, acts][0])
+        ahead = parts.phi @ ahead
+    assert np.sqrt(told[0]) == pytest.approx(0.3 * task.rates[1], rel=1e-9)
+    assert np.trapezoid(told, dx=task.series.dt) / told[0] == pytest.approx(time, rel=1e-3)
 
 
 def test_white_noise_takes_the_place_of_terms_that_go():

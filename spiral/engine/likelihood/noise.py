@@ -8,7 +8,7 @@ Each term is a Gaussian process of its own, white or a state of the noise z (``k
     vibration z'' = -2 d w0 z' - w0^2 z + w          a sensor's mount that rings at w0 / 2 pi
     drift     z' = w,  a per s^(1/2)                 a sensor's zero that wanders
     force     white acceleration                     level as ``spiral.engine.filter.noise`` says
-    gust      (T/n d/dt + 1)^n z = w,  std a         acceleration with correlation time T
+    gust      (T/c d/dt + 1)^n z = w,  std a        acceleration with correlation time T
     swell     P_n(d/dt / w0) z = w                   acceleration of std a around w0 / 2 pi
 
 A reading that is no state (an acceleration) has what forces add to the rates that it is made of,
@@ -17,7 +17,8 @@ at once; a white force is then a value that is held for a sample.
 B_n is the Butterworth polynomial of the term's order n (2: s^2 + 2^(1/2) s + 1), as an anti-alias
 filter has it; P_n that of a Butterworth band-pass of n poles, 2 d w0 wide (2: s^2 + 2 d s + 1), of
 which the n/2-th derivative of z acts. A gust of order 1 jumps from sample to sample, one of order 2
-is smooth, as what reaches a machine through something that fills or moves (Matern's 3/2). Sizes are
+is smooth (Matern's 3/2), of order n what has come through n things that fill or move; with
+c = 4^(n-1) / C(2n-2, n-1), 1 and 2 for these, T is the integral of its autocorrelation. Sizes are
 what a likelihood decides (``fit``), on a logarithmic scale. A gust's a and a swell's are shares of
 the standard deviation of the rate that they act on.
 """
@@ -27,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import comb
 
 import numpy as np
 
@@ -51,7 +53,7 @@ _UNSEEN = 10.0  # the same where nothing else moves the machine (a store alone: 
 _SHORTEST, _LONGEST = 0.3, 0.3  # correlation time: samples; share of the record
 STEEPEST = 8
 """Highest order of the low-pass of a ``band``, and most poles of a ``swell``."""
-SMOOTHEST = 2
+SMOOTHEST = 4
 """Highest order of a ``gust``."""
 _RINGING, _DEAD = 0.005, 0.2  # damping ratio of a vibration: beyond it is noise behind a low-pass
 _BROAD = 1.0  # largest damping ratio of a swell: its band is then as wide as its frequency
@@ -319,15 +321,16 @@ def _relaxation_block(dt: float, time: float, size: float) -> _Block:
 def _shaped_block(dt: float, term: NoiseTerm, values: Mapping[str, float]) -> _Block:
     """White noise behind a low-pass, a resonance or a band-pass with w0 = 1 / time.
 
-    Of a gust of order n it is n / time, so that autocorrelation has the integral of order 1. The
-    states are z and its derivatives over the powers of w0. Stationary, the one that acts with
+    Of a gust w0 is c / time. The states are z and its derivatives over the powers of w0. Stationary, the one that acts with
     the standard deviation ``size``.
     """
     from scipy.linalg import expm
 
     ratio = values[term.damping] if term.damping else None
     rate, first = _shaped_process(term.kind, term.order, ratio)
-    time = values[term.time] / (term.order if term.kind == "gust" else 1)
+    time = values[term.time]
+    if term.kind == "gust":
+        time /= 4.0 ** (term.order - 1) / comb(2 * term.order - 2, term.order - 1)
     phi = expm(rate * dt / time)
     first = first * values[term.size] ** 2
     return _Block(phi, first - phi @ first @ phi.T, first)

@@ -67,26 +67,35 @@ def replace_large_forces(
 
 
 def smooth_large_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit | None:
-    """The fit with correlated forces that are smooth (a gust of order 2); nothing if not likelier.
+    """The fit with correlated forces that are smooth (gusts of order 2 to 4); nothing if none is.
 
-    By the odds of any other noise: heat through doors, a load that a spring passes on. Beside a
-    force that jumps from sample to sample in its place misses are coloured, and effects are found
-    that make up for it. What a model lacks is smooth, too, and such a force would explain it, so
-    that it is not tried before effects are. How smooth a small force is matters to nothing.
+    Each order has to be likelier by the odds of any other noise: heat through doors, a load that a
+    spring passes on. Beside a force that jumps from sample to sample in its place misses are
+    coloured, and effects are found that make up for it. What a model lacks is smooth, too, and such
+    a force would explain it, so that it is not tried before effects are. How smooth a small force
+    is matters to nothing.
     """
-    at, odds = fit.estimate, float(np.log(DECISIVE_ODDS))
+    smooth = None
+    while (next_one := _smooth_once(assembly, smooth or fit)) is not None:
+        smooth = next_one
+    return smooth
+
+
+def _smooth_once(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit | None:
+    """The fit with correlated forces of the next order, if these are large and it is likelier."""
+    at, least = fit.estimate, fit.log_likelihood + float(np.log(DECISIVE_ODDS))
     gusts = [t for t in at.noise.terms if t.kind == "gust" and t.order < SMOOTHEST]
     if not at.finite or not gusts or largest_force(at.noise) <= LITTLE:
         return None
-    pushed = sum(len(driven_states(at.prepared[0][0], t.where)) for t in gusts)
-    if SMOOTHEST * pushed > MOST_STEEP:
+    order = gusts[0].order + 1
+    if order * sum(len(driven_states(at.prepared[0][0], t.where)) for t in gusts) > MOST_STEEP:
         return None
-    terms = tuple(replace(t, order=SMOOTHEST) if t in gusts else t for t in at.noise.terms)
-    smooth = tune_noise(at.prepared, replace(at.noise, terms=terms))
-    if not smooth.log_likelihood > at.log_likelihood + odds:
+    terms = tuple(replace(t, order=order) if t in gusts else t for t in at.noise.terms)
+    smoother = tune_noise(at.prepared, replace(at.noise, terms=terms))
+    if not smoother.log_likelihood > least:
         return None
-    likelier = continue_fit(assembly, fit, smooth.noise, rough=True)
-    return likelier if likelier.log_likelihood > at.log_likelihood + odds else None
+    fit = continue_fit(assembly, fit, smoother.noise, rough=True)
+    return fit if fit.log_likelihood > least else None
 
 
 def likeliest_noises(

@@ -20,7 +20,7 @@ from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.likelihood.tolerances import Tolerances
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.likelihood.admission import offer_effects, race_offered
-from spiral.types.effect import Effect, ParameterEffect
+from spiral.types.effect import Effect, ParameterEffect, is_plain_change
 
 _CHANGES = 5  # pairs of a parameter and what it follows, for which every form is tried
 _LEADING = 2  # of these where they lead
@@ -95,7 +95,7 @@ def _rank_plain_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) 
     smooth change would.
     """
     changes = assembly.problem.changes()
-    plain = tuple(e for e in changes if not e.bare and all(len(p.grid) <= 1 for p in e.parameters))
+    plain = tuple(e for e in changes if is_plain_change(e))
     offered = offer_effects(assembly, plain)
     return rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
 

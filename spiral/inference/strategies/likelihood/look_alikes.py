@@ -52,6 +52,7 @@ from spiral.inference.strategies.likelihood.twins import (
 )
 from spiral.inference.strategies.likelihood.whole_fit import fit_with_rival
 from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.effect import ParameterEffect, is_plain_change
 from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
 from spiral.types.run import Comparison, Suggestion
@@ -90,9 +91,10 @@ def recheck_admitted(
         label = admitted.original.label
         declared = _declared_look_alikes(assembly, admitted)
         close = _runners_up(label, promising.get(label, ()))
-        others = tuple(dict.fromkeys((*aliases.get(label, ()), *declared, *close)))
+        near = tuple(dict.fromkeys((*aliases.get(label, ()), *declared, *close)))
+        others = tuple(dict.fromkeys((*near, *_changes_of_others(assembly, admitted))))
         again = _contest_on_all_samples(
-            options, assembly, model, part, (admitted,), others, progress
+            options, assembly, model, part, (admitted,), others, progress, near
         )
         if again is None:
             continue
@@ -172,6 +174,22 @@ def _runners_up(label: str, promising: Sequence[Suggestion]) -> tuple[str, ...]:
     return tuple(effect for effect, gain in worth.items() if gain >= least)
 
 
+def _changes_of_others(assembly: Assembly, admitted: Variant) -> tuple[str, ...]:
+    """Plain changes of other parameters with what an admitted change follows; else none.
+
+    While none of them is there, scores hardly tell an emission that falls with time from a filament
+    that grows cooler: all other values are wrong.
+    """
+    system, change = assembly.problem.model.system, admitted.original
+    if not isinstance(change, ParameterEffect) or change.steady:
+        return ()
+    followed = system.place(change).against
+    return tuple(
+        e.label for e in assembly.problem.changes()
+        if is_plain_change(e) and e.port != change.port and system.place(e).against == followed
+    )  # fmt: skip
+
+
 def _declared_look_alikes(assembly: Assembly, admitted: Variant) -> tuple[str, ...]:
     """Labels of the special cases and twins of an effect."""
     return (*_special_case_labels(admitted), *twin_labels(assembly, admitted))
@@ -235,12 +253,12 @@ class _Contest:
 def _contest_on_all_samples(
     options: LikelihoodOptions, assembly: Assembly, model: LikelihoodFit,
     part: tuple[Assembly, LikelihoodFit] | None, admitted: tuple[Variant, ...],
-    others: tuple[str, ...], progress: Progress,
+    others: tuple[str, ...], progress: Progress, always: tuple[str, ...] | None = None,
 ) -> _Contest | None:  # fmt: skip
     """A contest in which an excerpt (``part``) drops what it tells from the effects already."""
     if part is None:
-        return _contest_effects(options, assembly, model, admitted, others, progress)
-    first = _contest_effects(options, *part, admitted, others, progress)
+        return _contest_effects(options, assembly, model, admitted, others, progress, always)
+    first = _contest_effects(options, *part, admitted, others, progress, always)
     if first is None:
         return None
     again = _contest_effects(options, assembly, model, admitted, first.aliases, progress)
