@@ -321,8 +321,8 @@ def _relaxation_block(dt: float, time: float, size: float) -> _Block:
 def _shaped_block(dt: float, term: NoiseTerm, values: Mapping[str, float]) -> _Block:
     """White noise behind a low-pass, a resonance or a band-pass with w0 = 1 / time.
 
-    Of a gust w0 is c / time. The states are z and its derivatives over the powers of w0. Stationary, the one that acts with
-    the standard deviation ``size``.
+    Of a gust w0 is c / time. The states are z and its derivatives over the powers of w0.
+    Stationary, the one that acts with the standard deviation ``size``.
     """
     from scipy.linalg import expm
 
