@@ -392,3 +392,48 @@ def test_a_search_that_may_take_no_time_ends_with_what_is_known():
     assert (run.stopped, run.missing, len(run.rounds)) == ("max_seconds", (), 1)
     assert "ended after 0.001 s" in run.summary
     assert "settings.seconds" in run.advice
+
+
+def _tube(seed, count=3000, dt=0.02):
+    """An X-ray tube whose filament emits less and less; nobody measures how hot it is."""
+    system = spiral.system(
+        ["cth*T' = P - em*sg*Af*T^4", "C*V' = (Ug - V)/Rs - Ia"],
+        let={"Ia": "A0*Af*T^2*exp(-W/T)"}, constants={"sg": "5.670e-8 W/m^2/K^4"},
+        states={"T": {"unit": "K", "start": 2250.0}, "V": "V"},
+        inputs={"P": {"unit": "W", "interpolation": "zero_order"}, "Ug": "V"},
+        parameters={"cth": (8.0e-3, "J/K"), "em": (0.37, "1"), "Af": (2.06e-5, "m^2"),
+                    "A0": (6.6e5, "A/m^2/K^2"), "W": (52500.0, "K"), "C": (5.0e-7, "F"),
+                    "Rs": (5.0e5, "ohm")},
+        free=["cth", "em", "A0", "C", "Rs"], observed=["V", "Ia"],
+    )  # fmt: skip
+    rng, steps, time = np.random.default_rng(seed), 40, dt * np.arange(count)
+    power = 11.3 + np.repeat(rng.uniform(-1.5, 1.5, count // 50), 50)
+    ground = 60e3 + 8e3 * np.sin(0.9 * time) + 5e3 * np.sin(3.1 * time + 1.0)
+    x, seen = np.array([2230.0, 55e3]), []
+    for k in range(count):
+        seen.append((x[1], _emission(x[0], time[k])))
+        for j in range(steps):
+            x = x + dt / steps * np.array([
+                (power[k] - 0.36 * 5.670e-8 * 2e-5 * x[0] ** 4) / 8.5e-3,
+                ((ground[k] - x[1]) / 5.2e5 - _emission(x[0], time[k] + j * dt / steps)) / 5.5e-7,
+            ])  # fmt: skip
+    seen = np.array(seen)
+    seen = seen + [0.01, 0.015] * seen.std(axis=0) * rng.normal(size=seen.shape)
+    channels, inputs = {"V": seen[:, 0], "Ia": seen[:, 1]}, {"P": power, "Ug": ground}
+    return system, make_record(system, f"seed {seed}", time, channels, inputs)
+
+
+def _emission(temperature, time):
+    """Richardson's current in A, its constant 6e5 A/m^2/K^2 at first, 110 s to 1/e."""
+    return 6e5 * 2e-5 * np.exp(-time / 110) * temperature**2 * np.exp(-52500 / temperature)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_parameter_that_drifts_is_told_from_others_that_would(seed):
+    """While its drift is missing, an emissivity that grows with time scores as well."""
+    system, record = _tube(seed)
+    run = spiral.discover(record, system, candidates=["linear_loss", "hidden_store", "offset"])
+    assert run.missing == ("exponential_change@A0-time",)
+    rate = run.model.estimates()["exponential_change@A0-time"]["rate"]
+    assert rate.estimate == pytest.approx(-1 / 110, abs=3 * rate.se)

@@ -1,10 +1,14 @@
 """Models at rest: asked at the values that were given, and where their states begin."""
 
+import pytest
+
 import spiral
 from spiral.io.testing import check_system, failed
+from spiral.physics import rest
 from spiral.physics.compile import compile_model
 from spiral.physics.rest import check_rest
 from spiral.physics.trace import trace
+from tests.scenes import effect
 
 
 def _require_finite_rest(system):
@@ -83,3 +87,22 @@ def test_each_state_that_is_declared_to_begin_moves_by_a_share_of_its_own_size()
                     "least": (1.0, "Pa")},
     )  # fmt: skip
     assert not failed(check_system(compressor))
+
+
+@pytest.mark.parametrize("law", ["k0*exp(-E/T)*c", "k0*T^2*exp(-E/T)*c"])
+def test_candidates_are_asked_at_rest_once(law, monkeypatch):
+    """A slope that is no number at zero is the system's own: not asked of each candidate again."""
+    system = spiral.system(
+        [f"c' = D*(cf - c) - {law}", f"T' = D*(Tf - T) + h*{law}"],
+        states={"c": {"unit": "mol/m^3", "start": 500.0}, "T": {"unit": "K", "start": 330.0}},
+        inputs={"cf": "mol/m^3"}, observed=["T"],
+        parameters={"D": (1e-3, "1/s"), "Tf": (318.0, "K"), "h": (0.02, "K*m^3/mol"),
+                    "k0": (1e3, "1/s/K^2" if "T^2" in law else "1/s"), "E": (6000.0, "K")},
+    )  # fmt: skip
+    effects = tuple(effect(n, port="T") for n in ("linear_loss", "cubic_loss", "root_loss"))
+    compiled = compile_model(trace(system, effects))
+    check_rest(compiled, system, (), effects)
+    asked, evaluate = [], rest._evaluate_traced
+    monkeypatch.setattr(rest, "_evaluate_traced", lambda *a: asked.append(a) or evaluate(*a))
+    check_rest(compiled, system, (), effects)
+    assert len(asked) <= 1  # the system alone
