@@ -202,7 +202,7 @@ def test_all_samples_decide_only_between_what_stretches_do_not_tell_apart(
 ):
     left, calls = {"part": first, "whole": again}, []
 
-    def contest(options, assembly, model, admitted, others, progress, always):
+    def contest(options, assembly, model, admitted, others, progress, always=None):
         calls.append((assembly, others))
         named = left[assembly]
         return None if named is None else SimpleNamespace(aliases=named, where=assembly)
