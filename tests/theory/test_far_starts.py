@@ -1,5 +1,7 @@
 """Machines of first order with a hidden state, begun from values and states that are far off."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import yaml
@@ -9,6 +11,7 @@ from spiral_plugins.systems.equations import Equations
 
 import spiral
 from spiral.engine.filter.task import motion_scales, prepare_task
+from spiral.inference.likelihood.seed_fit import _ends_at_same_values
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
@@ -267,3 +270,21 @@ def test_a_charge_that_only_adds_up_begins_where_it_was():
     told = run.model.estimates()["system"]
     for name, true in (("a", 0.025), ("b", 0.0015)):
         assert abs(told[name].estimate - true) < 3 * told[name].se
+
+
+def test_a_value_without_a_finite_error_does_not_tell_two_fits_apart():
+    """One that ran away to 1e159 has an infinite error: LAPACK never came back from it."""
+    key_values = {"far": 2e159, "near": 1.0}
+
+    def fit(**values):
+        inverse = np.array([[np.inf, -np.inf, np.inf], [0.0, 0.1, 0.02], [0.0, 0.0, 1.0]])
+        prepared = ((SimpleNamespace(series=SimpleNamespace(y=np.zeros((500, 1)))), None),)
+        at = SimpleNamespace(
+            finite=True, values=key_values | values, prepared=prepared,
+            regression=SimpleNamespace(inverse=inverse),
+        )  # fmt: skip
+        return SimpleNamespace(estimate=at)
+
+    assert _ends_at_same_values(fit(far=1e3), fit())
+    assert not _ends_at_same_values(fit(near=9.0), fit())
+    assert not _ends_at_same_values(fit(near=np.inf), fit())

@@ -180,8 +180,8 @@ def with_scaled_shapes(model: Model, records: tuple[Record, ...]) -> tuple[Model
     """A model whose effects have all their shapes, and the full names of those that were lacking.
 
     A shape that was given no value takes the middle of its grid, a reference the middle of what it
-    is counted from where that is far from zero; a frequency, or a time, the middle
-    of the band that the records can show (geometric), whatever it starts from elsewhere.
+    is counted from where that is far from zero; a frequency, or a time, the middle of the band that
+    the records can show (geometric), whatever it starts from elsewhere.
     """
     lacking = {
         effect.label: shapes

@@ -21,12 +21,7 @@ from spiral.engine.filter.noise import driven_states, noise_groups
 from spiral.engine.filter.setup import prepare_filter as filter_prepared
 from spiral.engine.filter.task import FilterInput, build_task
 from spiral.engine.likelihood.fit import MaximumLikelihood, maximise_likelihood
-from spiral.engine.likelihood.noise import (
-    EXTRA,
-    STEEPEST,
-    NoiseModel,
-    NoiseTerm,
-)
+from spiral.engine.likelihood.noise import EXTRA, STEEPEST, NoiseModel, NoiseTerm
 from spiral.engine.likelihood.predict import FilterInputs, log_likelihood, predict_cases
 from spiral.engine.threads import run_in_threads
 from spiral.inference.evidence.assembly import Assembly
@@ -59,7 +54,7 @@ _ROUNDS = 2
 _GUST_SIZES = (1e-4, 1e-3, 4e-3, 0.015, 0.05)  # of a gust beside forces that are there already
 _SWELL_SIZES = (0.01, 0.1)  # of a force in place of a sensor that rings
 _MOST_APART = 6  # states of a group whose forces are told apart: each costs slopes of its own
-MOST_STEEP = 12  # states of a steeper force: with n of them a sample costs n^3
+_MOST_STEEP = 12  # states of a steeper force: with n of them a sample costs n^3
 
 
 class _TermTrial(NamedTuple):
@@ -183,7 +178,6 @@ def _alternative_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
     """
     task, noise = at.prepared[0][0], at.noise
     shared = shared_groups(task)
-    anywhere = (*noise_groups(task), *(task.states[i] for s in shared.values() for i in s))
     for term in (t for t in noise.terms if t.kind in FORCES):
         if not is_acting(task, noise, term):
             continue
@@ -195,7 +189,7 @@ def _alternative_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
             yield others.with_terms((one,), {**times, one.size: size})
         if term.kind in CORRELATED or noise.has_kind("gust"):
             continue
-        near = (term.where, *states) if size <= LITTLE else anywhere
+        near = (term.where, *states) if size <= LITTLE else force_places(task)
         for one in (NoiseTerm("gust", where) for where in near):
             yield others.with_terms(
                 (one,), {one.size: size, one.time: initial_correlation_time(task, GUST_TIMES[0])}
@@ -227,6 +221,12 @@ def small_groups(task: FilterInput) -> tuple[str, ...]:
 def shared_groups(task: FilterInput) -> dict[str, tuple[int, ...]]:
     """Groups of two to ``_MOST_APART`` states, of which a force may act on one alone."""
     return {n: s for n, s in noise_groups(task).items() if 2 <= len(s) <= _MOST_APART}
+
+
+def force_places(task: FilterInput) -> tuple[str, ...]:
+    """Where a random force may act: on all states of a group, or on one of a small group."""
+    alone = (task.states[i] for states in shared_groups(task).values() for i in states)
+    return (*noise_groups(task), *alone)
 
 
 def _separate_forces(at: MaximumLikelihood) -> Iterator[NoiseModel]:
@@ -363,17 +363,29 @@ def raise_filter_order(at: MaximumLikelihood) -> MaximumLikelihood:
     edges are steep, as of a shaker or of waves.
     """
     for kind in FILTERED:
-        while at.finite and (filtered := [t for t in at.noise.terms if t.kind == kind]):
-            order, task = filtered[0].order + 2, at.prepared[0][0]
-            pushed = sum(len(driven_states(task, t.where)) for t in filtered if kind in FORCES)
-            if order > STEEPEST or order * pushed > MOST_STEEP:
-                break
-            terms = tuple(replace(t, order=order) if t in filtered else t for t in at.noise.terms)
-            more = tune_noise(at.prepared, replace(at.noise, terms=terms))
-            if not more.log_likelihood > at.log_likelihood + np.log(DECISIVE_ODDS):
-                break
-            at = more
+        while (steeper := tune_next_order(at, kind, 2, STEEPEST)) is not None:
+            at = steeper
     return at
+
+
+def tune_next_order(
+    at: MaximumLikelihood, kind: Kind, step: int, highest: int
+) -> MaximumLikelihood | None:
+    """The noise with terms of one kind of an order higher by ``step``, tuned alone.
+
+    Nothing where there are none, the order or its states are too many, or it is not likelier by the
+    odds of any other noise.
+    """
+    raised = [t for t in at.noise.terms if t.kind == kind]
+    if not at.finite or not raised:
+        return None
+    order, task = raised[0].order + step, at.prepared[0][0]
+    pushed = sum(len(driven_states(task, t.where)) for t in raised if kind in FORCES)
+    if order > highest or order * pushed > _MOST_STEEP:
+        return None
+    terms = tuple(replace(t, order=order) if t in raised else t for t in at.noise.terms)
+    more = tune_noise(at.prepared, replace(at.noise, terms=terms))
+    return more if more.log_likelihood > at.log_likelihood + np.log(DECISIVE_ODDS) else None
 
 
 def _liveliest_part(at: MaximumLikelihood) -> FilterInputs:

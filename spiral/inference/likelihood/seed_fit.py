@@ -128,13 +128,18 @@ def _ends_at_same_values(one: LikelihoodFit, other: LikelihoodFit) -> bool:
     """Whether the values of one fit are those of another, as nearly as rough fits are made.
 
     By the information I of the other, 1/2 d^T I d is the log-likelihood between them where it is a
-    parabola.
+    parabola. A value that has run away (a heat capacity of 1e159) has no finite error and costs
+    nothing; with it LAPACK would not come to an end.
     """
     at = other.estimate
     if not one.estimate.finite or at.regression is None:
         return False
     apart = np.array([one.estimate.values[k] - v for k, v in at.values.items()])
-    deviations = np.linalg.lstsq(at.regression.inverse[: len(apart)], apart, rcond=None)[0]
+    inverse = at.regression.inverse[: len(apart)]
+    told = np.isfinite(inverse).all(axis=1)
+    if not np.isfinite(apart[told]).all():
+        return False
+    deviations = np.linalg.lstsq(inverse[told], apart[told], rcond=None)[0]
     return 0.5 * float(deviations @ deviations) < 2 * ROUGH * reading_count(at.prepared)
 
 

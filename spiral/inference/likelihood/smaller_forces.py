@@ -9,11 +9,9 @@ second is small; so where a fit ends with a force that is no explanation, the se
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
-from spiral.engine.filter.noise import driven_states, noise_groups
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.noise import SMOOTHEST, NoiseModel, NoiseTerm
@@ -27,8 +25,8 @@ from spiral.inference.likelihood.fitting import (
     largest_force,
 )
 from spiral.inference.likelihood.noise_selection import (
-    MOST_STEEP,
-    shared_groups,
+    force_places,
+    tune_next_order,
     tune_noise,
     worth_beside,
 )
@@ -83,17 +81,13 @@ def smooth_large_forces(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit
 
 def _smooth_once(assembly: Assembly, fit: LikelihoodFit) -> LikelihoodFit | None:
     """The fit with correlated forces of the next order, if these are large and it is likelier."""
-    at, least = fit.estimate, fit.log_likelihood + float(np.log(DECISIVE_ODDS))
-    gusts = [t for t in at.noise.terms if t.kind == "gust" and t.order < SMOOTHEST]
-    if not at.finite or not gusts or largest_force(at.noise) <= LITTLE:
+    at = fit.estimate
+    if largest_force(at.noise) <= LITTLE:
         return None
-    order = gusts[0].order + 1
-    if order * sum(len(driven_states(at.prepared[0][0], t.where)) for t in gusts) > MOST_STEEP:
+    smoother = tune_next_order(at, "gust", 1, SMOOTHEST)
+    if smoother is None:
         return None
-    terms = tuple(replace(t, order=order) if t in gusts else t for t in at.noise.terms)
-    smoother = tune_noise(at.prepared, replace(at.noise, terms=terms))
-    if not smoother.log_likelihood > least:
-        return None
+    least = fit.log_likelihood + float(np.log(DECISIVE_ODDS))
     fit = continue_fit(assembly, fit, smoother.noise, rough=True)
     return fit if fit.log_likelihood > least else None
 
@@ -132,8 +126,7 @@ def _small_force_models(task: FilterInput, noise: NoiseModel, limit: float) -> I
         t for t in noise.terms
         if t.kind not in CORRELATED and not (t.kind == "force" and noise.values[t.size] > limit)
     )  # fmt: skip
-    states = (task.states[i] for s in shared_groups(task).values() for i in s)
-    for where in (*noise_groups(task), *states):
+    for where in force_places(task):
         one = NoiseTerm("gust", where)
         small = list(initial_gust_sizes(task, (one,)))
         for values in (*small, {**small[0], one.size: largest_force(noise)}):

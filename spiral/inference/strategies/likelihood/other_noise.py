@@ -6,6 +6,8 @@ smaller and on one state alone; it may be smooth, or act around a frequency.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,10 +27,7 @@ from spiral.inference.likelihood.fitting import (
 from spiral.inference.likelihood.noise_selection import worth_beside
 from spiral.inference.likelihood.resonant_forces import add_resonant_force
 from spiral.inference.likelihood.seed_fit import best_fit
-from spiral.inference.likelihood.smaller_forces import (
-    replace_large_forces,
-    smooth_large_forces,
-)
+from spiral.inference.likelihood.smaller_forces import replace_large_forces, smooth_large_forces
 from spiral.inference.problem import DECISIVE_ODDS, Progress
 from spiral.inference.strategies.base import RefittedModel
 from spiral.inference.strategies.likelihood.accepted import WholeRecordFit
@@ -86,7 +85,9 @@ def refit_with_smaller_forces(
 
     Nothing where they are not, or where the record does not have it so.
     """
-    fit = _fit_with_smaller_forces(assembly, state, progress)
+    fit = _fit_with_smaller_forces(
+        assembly, state, lambda: fit_by_likelihood(assembly, state, rough=True), progress
+    )
     return None if fit is None else _compare_without_needless(assembly, fit, progress)
 
 
@@ -102,8 +103,9 @@ def refit_in_place_of(
     with_it = passed.fit.estimate
     if largest_force(with_it.noise) <= assembly.problem.settings.random_limit:
         return None
-    fit = _fit_with_smaller_forces(assembly, state, progress)
-    fit = fit or smooth_large_forces(assembly, fit_by_likelihood(assembly, state, rough=True))
+    now = functools.cache(lambda: fit_by_likelihood(assembly, state, rough=True))
+    fit = _fit_with_smaller_forces(assembly, state, now, progress)
+    fit = fit or smooth_large_forces(assembly, now())
     if fit is None:
         return None
     fewer = len(with_it.keys) - len(fit.estimate.keys)
@@ -114,13 +116,16 @@ def refit_in_place_of(
 
 
 def _fit_with_smaller_forces(
-    assembly: Assembly, state: FitState, progress: Progress
+    assembly: Assembly, state: FitState, now: Callable[[], LikelihoodFit], progress: Progress
 ) -> LikelihoodFit | None:
-    """The fit beside smaller forces than the state's, if any is too large to explain anything."""
+    """The fit beside smaller forces than the state's, if any is too large to explain anything.
+
+    ``now`` : the state's own fit, made where it is needed.
+    """
     limit = assembly.problem.settings.random_limit
     if state.noise is None or not (before := largest_force(state.noise)) > limit:
         return None
-    fit = replace_large_forces(assembly, fit_by_likelihood(assembly, state, rough=True), progress)
+    fit = replace_large_forces(assembly, now(), progress)
     if fit is None:
         return None
     fit = finish_fit(assembly, fit, progress)
