@@ -13,11 +13,13 @@ residual's correlation time.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
+from spiral.engine.blocks import Blocks
 from spiral.engine.sensitivities import Reduction
 from spiral.engine.statistics import autocorrelation
 from spiral.types.record import Array
@@ -52,7 +54,11 @@ class Score:
 
 @dataclass(frozen=True)
 class ScoreTable:
-    """A pass prepared for scoring: candidates' triangle with the active columns projected out."""
+    """A pass prepared for scoring: candidates' triangle with the active columns projected out.
+
+    ``taken`` (active, candidates + 1) is what of each active column is in every other one and in r;
+    ``blocks`` are rows of [active | candidates | r] as they are.
+    """
 
     triangle: Array
     target: Array
@@ -60,34 +66,41 @@ class ScoreTable:
     rest: float
     samples: int
     dof: int
-    blocks: Array
+    blocks: Blocks
+    taken: Array
+
+    def block_scores(self, group: Sequence[int], chosen: Sequence[int], step: Array) -> Array:
+        """(blocks, group): J_b^T e_b, e the residual after a ``step`` of the ``chosen`` columns."""
+        active = len(self.taken)
+        others = [*range(active), *(active + c for c in chosen), -1]
+        head = self.taken[:, chosen] @ step - self.taken[:, -1]
+        weights = np.concatenate([head, -step, np.ones(1)])
+        own = [*range(active), *(active + c for c in group)]
+        products = self.blocks.products(own, others, weights)
+        return products[:, active:] - products[:, :active] @ self.taken[:, group]
 
 
 def build_score_table(reduction: Reduction, active: int) -> ScoreTable:
     """Project the first ``active`` columns out of all others."""
     triangle = reduction.triangle
     norms = np.linalg.norm(triangle[:, :-1], axis=0)
-    blocks = _project_out_active(reduction, active)
     inner = triangle[active:, active:]
     rest = float(inner[:, -1] @ inner[:, -1])
     dof = reduction.samples - reduction.nuisances - active
     return ScoreTable(
-        inner[:, :-1], inner[:, -1], norms[active:], rest, reduction.samples, dof, blocks,
+        inner[:, :-1], inner[:, -1], norms[active:], rest, reduction.samples, dof,
+        reduction.blocks, _taken_by_active(triangle[:active], active),
     )  # fmt: skip
 
 
-def _project_out_active(reduction: Reduction, active: int) -> Array:
-    """Gram blocks in coordinates where active columns are projected out of the others and r."""
-    blocks = reduction.blocks
-    if not len(blocks) or active == 0:
-        return blocks
-    triangle = reduction.triangle[:active]
+def _taken_by_active(triangle: Array, active: int) -> Array:
+    """(active, others) least-squares weights of the active columns in each of the others."""
+    if active == 0:
+        return np.zeros((0, triangle.shape[1]))
     scale = np.linalg.norm(triangle[:, :active], axis=0)
     scale[scale == 0] = 1.0
     head, *_ = np.linalg.lstsq(triangle[:, :active] / scale, triangle[:, active:], rcond=1e-12)
-    taken = head / scale[:, None]
-    right = blocks[:, :, active:] - blocks[:, :, :active] @ taken
-    return right[:, active:] - taken.T @ right[:, :active]
+    return head / scale[:, None]
 
 
 def score(table: ScoreTable, columns: tuple[int, ...], one_sided: tuple[bool, ...]) -> Score:
@@ -172,25 +185,19 @@ def _wald_statistic(
     table: ScoreTable, kept: list[int], group: ProjectedGroup
 ) -> tuple[float, float]:
     """Robust Wald statistic over q, and the log of its p-value (Hotelling, blocks as cases)."""
-    blocks = table.blocks
-    count, q = len(blocks), group.rank
+    count, q = len(table.blocks), group.rank
     if not q or count < MINIMUM_BLOCKS // 2 or not np.any(group.step):
         return 0.0, 0.0
-    scores = block_scores(table, kept, group) @ group.basis
+    scores = table.block_scores(kept, kept, group.step) @ group.basis
     meat = scores.T @ scores * count / (count - 1)
-    bread = group.basis.T @ blocks[:, kept][:, :, kept].sum(axis=0) @ group.step
+    inner = table.triangle[:, kept]
+    bread = (inner @ group.basis).T @ (inner @ group.step)
     try:
         wald = float(bread @ np.linalg.solve(meat, bread)) / q
     except np.linalg.LinAlgError:
         return 0.0, 0.0
     ratio = wald * (count - q) / (count - 1)
     return wald, log_tail(ratio, q, count - q)
-
-
-def block_scores(table: ScoreTable, kept: list[int], group: ProjectedGroup) -> Array:
-    """(blocks, columns): J_b^T e_b, e the residual after the group's own step."""
-    gram = table.blocks[:, kept][:, :, kept]
-    return table.blocks[:, kept, -1] - np.einsum("bij,j->bi", gram, group.step)
 
 
 def cosine(table: ScoreTable, first: tuple[int, ...], second: tuple[int, ...]) -> float:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spiral.engine.blocks import NO_BLOCKS, Blocks, GramBlocks
 from spiral.engine.elimination import (
     eliminate_initial_states,
     gram_matrices,
@@ -40,8 +41,8 @@ class Reduction:
     ``triangle`` (columns + 1, columns + 1): R of the QR decomposition of [J_p | r] with all
     initial states projected out; ``cost`` the sum of squares of r before any step; ``samples`` the
     residuals counted; ``elimination`` per record (windows, states, columns + 1), the minimum-norm
-    map with x0 step = e[:, -1] - e[:, :-1] @ step; ``blocks`` (blocks, columns + 1, columns + 1):
-    Gram matrices of the projected rows, or empty.
+    map with x0 step = e[:, -1] - e[:, :-1] @ step; ``blocks`` the projected
+    rows by blocks, or none.
     """
 
     triangle: Array
@@ -49,7 +50,7 @@ class Reduction:
     samples: int
     nuisances: int
     elimination: tuple[Array, ...]
-    blocks: Array
+    blocks: Blocks
 
     @property
     def finite(self) -> bool:
@@ -111,8 +112,7 @@ def reduce_windows(
     prior = np.concatenate(priors)
     cost = sum(reduced.cost for _, reduced in results) + float(np.sum(prior[:, -1] ** 2))
     if not np.isfinite(cost):
-        empty = np.zeros((0, width, width))
-        return Reduction(np.zeros((width, width)), np.inf, samples, 0, elimination, empty)
+        return Reduction(np.zeros((width, width)), np.inf, samples, 0, elimination, NO_BLOCKS)
     parts, blocks = [prior], []
     for batch, reduced in results:
         seen = np.append(columns.local(batch.record), width - 1)
@@ -126,7 +126,7 @@ def reduce_windows(
         samples=samples,
         nuisances=sum(reduced.rank for _, reduced in results),
         elimination=elimination,
-        blocks=np.concatenate(blocks),
+        blocks=GramBlocks(np.concatenate(blocks)),
     )
 
 

@@ -13,6 +13,7 @@ from spiral_plugins.systems.oscillator import Oscillator
 from spiral_plugins.systems.planar_rotor import PlanarRotor
 
 import spiral
+from spiral.engine.blocks import GramBlocks
 from spiral.engine.score import ScoreTable
 from spiral.inference.discover import discover
 from spiral.inference.evidence.effective_tests import effective_tests
@@ -192,8 +193,9 @@ def _null_table(rng, columns, blocks=60, rows=40):
     size = np.linalg.norm(triangle[:, :-1], axis=0)
     rest = float(triangle[:, -1] @ triangle[:, -1])
     return ScoreTable(
-        triangle[:, :-1], triangle[:, -1], size, rest, blocks * rows, blocks * rows, gram
-    )
+        triangle[:, :-1], triangle[:, -1], size, rest, blocks * rows, blocks * rows,
+        GramBlocks(gram), np.zeros((0, triangle.shape[1])),
+    )  # fmt: skip
 
 
 def test_values_of_a_shape_that_say_the_same_are_one_test_and_independent_ones_many():

@@ -65,6 +65,5 @@ def _block_scores(table: ScoreTable, groups: list[tuple[int, ...]], best: int) -
         part = project_group(table, group)
         if not part.rank:
             continue
-        raw = table.blocks[:, group, -1] - table.blocks[:, group][:, :, chosen] @ step
-        scores.append(raw @ part.basis)
+        scores.append(table.block_scores(group, chosen, step) @ part.basis)
     return scores

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from spiral.engine.blocks import NO_BLOCKS, Blocks, RowBlocks
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.leastsquares import triangle
 from spiral.engine.likelihood.autoregression import Autoregression, fit_autoregression
@@ -340,8 +341,8 @@ def _signature_columns(
 def _reduce_innovations(
     filtered: FilteredRecords, carried: Sequence[Array], block: int
 ) -> Reduction:
-    """Whitened innovations and slopes as a triangle, with the Gram matrix of each block."""
-    rows, grams, cost, samples, masks = [], [], 0.0, 0, filtered.masks
+    """Whitened innovations and slopes as a triangle, with their rows in blocks, or without."""
+    rows, lengths, masks = [], [], filtered.masks
     for r, (part, own) in enumerate(zip(filtered.parts, carried, strict=True)):
         chosen = None if masks is None else masks[r]
         mask = np.ones(len(part.misses), dtype=bool) if chosen is None else chosen
@@ -350,14 +351,20 @@ def _reduce_innovations(
             [part.slopes * weight, own * weight, part.whitened[..., None]], axis=2
         )
         whole = whole if filtered.past is None else filtered.past.whiten(whole)
-        whole[~mask] = 0.0
-        for start in range(0, len(whole), block) if block else ():
-            piece = whole[start : start + block].reshape(-1, whole.shape[2])
-            if mask[start : start + block].any():
-                grams.append(piece.T @ piece)
-        seen = whole[mask].reshape(-1, whole.shape[2])
-        rows.append(seen)
-        cost += float(seen[:, -1] @ seen[:, -1])
-        samples += len(seen)
+        seen = whole[mask]
+        rows.append(seen.reshape(-1, whole.shape[2]))
+        if block:
+            lengths += [seen.shape[1] * int(mask[at : at + block].sum())
+                        for at in range(0, len(mask), block)]  # fmt: skip
     upper, _ = triangle(rows)
-    return Reduction(upper, cost, samples, 0, (), np.array(grams))
+    cost, samples = sum(float(x[:, -1] @ x[:, -1]) for x in rows), sum(map(len, rows))
+    return Reduction(upper, cost, samples, 0, (), _row_blocks(rows, lengths))
+
+
+def _row_blocks(rows: Sequence[Array], lengths: Sequence[int]) -> Blocks:
+    """The rows in blocks of these lengths, of which empty ones are none; none where no length."""
+    if not lengths:
+        return NO_BLOCKS
+    own = np.array([n for n in lengths if n])
+    columns = np.ascontiguousarray(np.concatenate(rows).T)
+    return RowBlocks(columns, np.cumsum(own) - own)
