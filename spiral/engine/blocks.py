@@ -1,6 +1,6 @@
 """Blocks of a regression's rows, over which robust tests take sums.
 
-Of rows [J | r] they ask for J_g^T (J_o w) within each block: a few columns g against one combination
+Of rows [J | r] they ask for J_g^T (J_o w) within each block: a few columns against a combination
 of a few others. The Gram matrices of all columns hold these and, of hundreds of candidates,
 thousands of times more.
 """

@@ -4,8 +4,8 @@
     output(x, u, p, y, C, D)    y = h,  C = h_x, D = h_p        output_value(x, u, p, y)
 
 LLVM, through the library that Numba brings, is given the expressions with their exact derivatives
-(``emit``), and Numba's loops are given the addresses. A model takes some tenths of a second, so
-that no machine code is kept on disk, where others could change it.
+(``emit``), and Numba's loops are given the addresses. Machine code is kept for other processes
+(``object_code``).
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from typing import Any
 import numba as nb
 import numpy as np
 import sympy as sp
+from llvmlite import __version__ as llvmlite_version
 from llvmlite import binding, ir
 from numba import types
 from numba.core.registry import cpu_target
 from numba.extending import typeof_impl
 
 from spiral.physics.emit import INDEX, Emitter
+from spiral.physics.object_code import kept_code
 from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 
@@ -241,13 +243,25 @@ def engine_of(module: ir.Module) -> Any:
     """
     linker, text = _linker(), str(module)
     level = _USUAL if text.count("\n") <= _LONG else 0
-    machine, parsed = _target_machine(level), binding.parse_assembly(text, binding.create_context())
-    options = binding.create_pipeline_tuning_options(speed_level=max(level, 1))
-    passes = binding.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(parsed, passes)
-    library = binding.JITLibraryBuilder().add_object_img(machine.emit_object(parsed))
-    library.add_current_process()
+    code = kept_code(text, (*_translator(), str(level)), lambda: _translate(text, level))
+    library = binding.JITLibraryBuilder().add_object_img(code).add_current_process()
     for function in module.functions:
         if not function.is_declaration:
             library.export_symbol(function.name)
     return library.link(linker, f"spiral{next(_numbers)}")
+
+
+def _translator() -> tuple[str, ...]:
+    """What machine code depends on beside the intermediate code: the compiler and the processor."""
+    version = ".".join(map(str, binding.llvm_version_info))
+    processor = (binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten())
+    return llvmlite_version, version, binding.get_default_triple(), *processor
+
+
+def _translate(text: str, level: int) -> bytes:
+    """Machine code of a module, at a level of optimisation."""
+    machine, parsed = _target_machine(level), binding.parse_assembly(text, binding.create_context())
+    options = binding.create_pipeline_tuning_options(speed_level=max(level, 1))
+    passes = binding.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(parsed, passes)
+    return machine.emit_object(parsed)

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, dataclass_transform
 
+_SHIPPED = "spiral_plugins"  # the package of those that come with it
+
 
 @lru_cache(maxsize=1024)
 def snake_case(name: str) -> str:
@@ -36,6 +38,11 @@ class Plugin(ABC):  # noqa: B024  (its subclasses, the kinds, have the abstract 
     def plugin_name(cls) -> str:
         """The name used in configurations."""
         return snake_case(cls.__name__)
+
+    @classmethod
+    def is_shipped(cls) -> bool:
+        """Whether it comes with the package, whose own tests trace and evaluate it."""
+        return cls.__module__.partition(".")[0] == _SHIPPED
 
     @classmethod
     def meaning(cls) -> str:
