@@ -55,7 +55,10 @@ def effective_tests(
 
 
 def _block_scores(table: ScoreTable, groups: list[tuple[int, ...]], best: int) -> list[Array]:
-    """(blocks, rank) of every group with a rank, from the residual after the best one's step."""
+    """(blocks, rank) of every group with a rank, from the residual after the best one's step.
+
+    Those that are no numbers are left out: slopes of a motion that runs away.
+    """
     if not len(table.blocks):
         return []
     chosen = list(groups[best])
@@ -65,5 +68,7 @@ def _block_scores(table: ScoreTable, groups: list[tuple[int, ...]], best: int) -
         part = project_group(table, group)
         if not part.rank:
             continue
-        scores.append(table.block_scores(group, chosen, step) @ part.basis)
+        score = table.block_scores(group, chosen, step) @ part.basis
+        if np.isfinite(score).all():
+            scores.append(score)
     return scores
