@@ -33,7 +33,7 @@ FIND_PYTHON = for python in python3.11 python3 /usr/bin/python3.11 /usr/bin/pyth
 		>/dev/null 2>&1; then echo "$$python"; exit; fi; done; \
 	echo 'needed: Python 3.11 or newer with venv (Debian: apt install python3.11-venv)' >&2; exit 1
 
-.PHONY: help setup demo app test test-slow docs pictures bench lint licenses format lock clean
+.PHONY: help setup demo published app test test-slow docs pictures bench lint licenses format lock clean
 
 help: ## List these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -79,6 +79,8 @@ $(VENV)/.installed: $(VENV)/.locked pyproject.toml setup.py
 
 demo: setup ## Find what the rotor's model is missing, on the embedded record
 	@$(BIN)/spiral discover experiment=rotor_coastdown
+
+published: setup ## The demo's record by the paper's evidence, beside the demo's answer (after make demo)
 	@$(BIN)/python -m experiments.side_by_side runs
 
 app: setup ## Open the page: see where the model fails, click Add, watch the error fall

@@ -1,4 +1,4 @@
-"""The same loop on the same record with two kinds of evidence, side by side; ends ``make demo``.
+"""The same loop on the same record with two kinds of evidence, side by side: ``make published``.
 
 python -m experiments.side_by_side [RUNS] [OVERRIDE...]
 
