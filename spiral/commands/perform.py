@@ -34,14 +34,14 @@ def perform(
         return plugins.create_plugin(request)
     if request.verb == "report":
         return report.report(request, tell)
-    registry = load_registry(request.plugins)
+    named = (*(f"system={n}" for n in request.names), *request.overrides)
+    registry = replace(load_registry(request.plugins), programs=programs_named(named))
     if request.verb == "plugins":
         return plugins.list_plugins(request, registry)
     if request.verb == "check":
         return plugins.check_plugins(request, registry, tell)
     for failure in registry.failures:
         tell(f"not usable: {failure.name} in {failure.file}: {failure.message}")
-    registry = replace(registry, programs=programs_named(request.overrides))
     if request.verb == "export":
         return export.export(request, registry, tell)
     config = compose_request(request, registry)

@@ -21,10 +21,10 @@ def list_plugins(request: Request, registry: Registry) -> Outcome:
 
     A kind beside a name of that kind only says what the name is (``spiral plugins effect rub``).
     """
-    from spiral.io.system_files import plugin_of_file
+    from spiral.io.system_files import is_model_file
 
     known = {*registry.kinds, *(e.name for e in registry.entries)}
-    files = [n for n in request.names if plugin_of_file(n)]
+    files = [n for n in request.names if is_model_file(n)]
     for name in request.names:
         if name not in known and name not in files:
             raise ConfigError(
@@ -53,18 +53,18 @@ def check_plugins(request: Request, registry: Registry, tell: Tell) -> Outcome:
 
     A model is a file (``model.yaml``), or what overrides choose (``system=NAME system.FIELD=1``).
     """
-    from spiral.io.system_files import plugin_of_file
+    from spiral.io.system_files import is_model_file
     from spiral.io.testing import check_plugin, failed
 
     if not request.names and not request.overrides:
         raise ConfigError("check", "spiral check NAME, or system=MODEL.yaml", "spiral plugins")
-    systems = [n for n in request.names if plugin_of_file(n) or n in registry.names("system")]
+    systems = [n for n in request.names if is_model_file(n) or n in registry.names("system")]
     if request.overrides:  # of a system that is named, or that they choose
         models = [tuple(f"system={n}" for n in systems[:1]) + tuple(request.overrides)]
         plugins = [n for n in request.names if n not in systems[:1]]
     else:
-        models = [(f"system={n}",) for n in systems if plugin_of_file(n)]
-        plugins = [n for n in request.names if not plugin_of_file(n)]
+        models = [(f"system={n}",) for n in systems if is_model_file(n)]
+        plugins = [n for n in request.names if not is_model_file(n)]
     checked = [_check_model(overrides, registry, tell) for overrides in models]
     for entry in (e for name in plugins for e in registry.named(name)):
         tell(f"checking {entry.kind} {entry.name}")

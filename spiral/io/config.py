@@ -16,9 +16,10 @@ from spiral.inference.plan_options import PlanOptions
 from spiral.inference.problem import Problem, Settings
 from spiral.io import custom, problem_setup, strategy_config
 from spiral.io.overrides import Assignment, parse_overrides, set_value
+from spiral.io.python_model import system_section
 from spiral.io.registry import Registry
 from spiral.io.strategy_config import build_strategy, gate_fields
-from spiral.io.system_files import plugin_of_file
+from spiral.io.system_files import is_python_file, plugin_of_file
 from spiral.types.cache import kept
 from spiral.types.errors import ConfigError, did_you_mean
 from spiral.types.fields import by_name, construct, defaults_of, field_names, is_open, plain
@@ -351,6 +352,9 @@ def _choose_group_plugin(config: Config, group: str, name: Any, registry: Regist
     if name is None:
         settle = (config["test"] or {}).get("settle")
         config[group] = {"name": None, "settle": settle} if group == "test" else None
+        return
+    if group == "system" and is_python_file(str(name)):
+        config[group] = system_section(str(name), registry.programs)
         return
     file = str(name) if group == "system" and plugin_of_file(str(name)) else ""
     if config[group] and config[group].get("name") == name:

@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from spiral.io.python_model import system_of_file
 from spiral.io.registry import NO_FOLDER, load_registry
-from spiral.io.system_files import plugin_of_file
+from spiral.io.system_files import is_python_file, plugin_of_file
 from spiral.types.errors import ConfigError
 from spiral.types.system import System
 
@@ -82,6 +83,7 @@ def system(
         spiral.system(["m*x'' + c*x' + k*x = F"], states={"x": "m"}, inputs={"F": "N"},
                       parameters={"m": "2 kg", "c": "3 N*s/m", "k": "400 N/m"}, observed=["x"])
         spiral.system("two_masses.yaml")
+        spiral.system("machine.py")
         spiral.system("car.fmu", ports={"body": "F_body"}, free=["k"])
         spiral.system("arm.xml", inputs=["shoulder"], free=["elbow_damping"])
 
@@ -96,7 +98,8 @@ def system(
     source : ``rhs(t, x, u, p)``, later arguments left out where they are not used; it returns the
         rates in the order of ``states``, or by name. ``x``, ``u``, ``p`` give values by name
         (``x.v``, ``x["v"]``) and by number. Or equations, as a list or, with all else, as a mapping
-        of what a file holds. Or a file: YAML, TOML and JSON alone, an FMU with
+        of what a file holds. Or a file: YAML, TOML, JSON and Python (which is run, and whose
+        ``system`` is taken) alone, an FMU with
         ``ports`` (coordinate -> the input that a force on it goes through), ``inputs`` (names of
         those that are recorded), ``observed`` and ``free``; a robot (MJCF, URDF) likewise, its
         ``inputs`` the actuators and joints whose commands and torques are recorded.
@@ -154,6 +157,11 @@ def _system_from_equations(
 
 def _system_from_file(file: str, given: Mapping[str, Any]) -> System:
     """A system from a file; an FMU or a robot also takes ports, inputs and free parameters."""
+    left = {k: v for k, v in given.items() if v}
+    if is_python_file(file):
+        if left:
+            raise ConfigError(f"the file {file!r} and {', '.join(left)}", "the file alone")
+        return system_of_file(file)
     plugin = plugin_of_file(file) or "equations"
     registry = load_registry(NO_FOLDER)
     if file in registry.names("system"):
@@ -162,7 +170,6 @@ def _system_from_file(file: str, given: Mapping[str, Any]) -> System:
             "equations, a function or a file",
             f"the name where a system is asked for: spiral.discover(record, {file!r})",
         )
-    left = {k: v for k, v in given.items() if v}
     known = FIELDS.get(plugin, {})
     fields = {known[k]: left.pop(k) for k in list(left) if k in known}
     if left:

@@ -45,12 +45,20 @@ def groups_help(plugins: str | None, words: Sequence[str] = ()) -> str:
         )
     lines = ["options of each group (-m sweeps over them: system=a,b):"]
     for group, kind in _option_groups(registry).items():
-        lines += _group_line(f"{group}=", registry.names(kind))
+        lines += _group_line(f"{group}=", _choices(kind, registry))
     lines += _group_line("experiment=", experiments())
     lines += _group_line(f"{_SETTINGS}.", list(defaults_of(Settings)))
     lines += _group_line(_OTHERS, list(_other_keys()))
     lines += _failure_lines(registry)
     return "\n".join([*lines, "", "--help GROUP or --help NAME tells meanings and fields"])
+
+
+def _choices(kind: str, registry: Registry) -> list[str]:
+    """Names of a kind that a command may choose; of systems also the ends of models' files."""
+    from spiral.io.system_files import PLUGINS, PYTHON
+
+    ends = sorted({*PLUGINS, PYTHON}) if kind == "system" else ()
+    return [*registry.names(kind), *(f"FILE{end}" for end in ends)]
 
 
 def _other_keys() -> dict[str, list[str]]:
