@@ -18,7 +18,7 @@ from spiral.engine.filter.kernel import slope_workspace
 from spiral.engine.filter.setup import prepare_filter
 from spiral.engine.filter.task import prepare_task
 from spiral.engine.likelihood import predict
-from spiral.engine.likelihood.noise import NoiseTerm, first_noise
+from spiral.engine.likelihood.noise import NoiseTerm, first_noise, size_limits
 from spiral.engine.likelihood.predict import predict_readings, vary_noise
 from spiral.engine.likelihood.transition import compressed_rows, entries_in
 from spiral.physics.compile import compile_model
@@ -237,6 +237,21 @@ def test_other_noise_along_one_motion(effects, values, share):
                                      (spreads, anew.spreads, run.spreads)):  # fmt: skip
             moved = np.linalg.norm(theirs - before)
             assert np.linalg.norm(mine - theirs) <= share * moved
+
+
+def test_noise_that_does_nothing_in_one_record_is_not_varied_there():
+    """Its size is the least for large readings, and more than that in another record."""
+    task, settings = task_of(record_of(3))
+    noise = all_noise(task)
+    size = 0.99 * size_limits(task, "band.x")[0]
+    noise = noise.with_values({"band.x": size})
+    run = predict_readings(task, settings, noise, keep=True)
+    larger = noise.with_values({"band.x": 1.05 * size})
+    wider = noise.with_values({"drift.x": 1.05 * noise.values["drift.x"]})
+    (still, variances), (moved, _) = vary_noise(task, settings, noise, [larger, wider], run)
+    np.testing.assert_allclose(still, run.misses, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(variances, run.spreads, rtol=1e-9)
+    assert not np.allclose(moved, run.misses, rtol=1e-6)
 
 
 def test_slopes_of_the_flow_are_made_anew_where_they_are_not_kept():

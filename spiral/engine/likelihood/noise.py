@@ -25,7 +25,7 @@ the standard deviation of the rate that they act on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import comb
@@ -191,6 +191,23 @@ def drop_inapplicable_forces(task: FilterInput, noise: NoiseModel) -> NoiseModel
     )
 
 
+def hold_idle_sizes(
+    task: FilterInput, noise: NoiseModel, others: Sequence[NoiseModel]
+) -> list[NoiseModel]:
+    """Other values of a noise model, without those of terms that do nothing in this record.
+
+    Sizes are small beside the readings of a record, and one that is the least where readings are
+    large acts where they are small. A term that is varied must have the states that it has.
+    """
+    idle = {t.size: noise.values[t.size] for t in noise.terms if _is_idle(task, t, noise.values)}
+    return [other.with_values(idle) for other in others] if idle else [*others]
+
+
+def _is_idle(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]) -> bool:
+    """Whether a term has the least size, at which it does nothing."""
+    return values[term.size] <= size_limits(task, term.size)[0]
+
+
 @dataclass(frozen=True)
 class NoiseMatrices:
     """Noise of one record for ``kernel.predict_record``; ``p`` is before the first sample."""
@@ -270,7 +287,7 @@ class _Block:
 def _term_blocks(task: FilterInput, term: NoiseTerm, values: Mapping[str, float]) -> list[_Block]:
     """The processes of a term; none where its size is the least, at which it does nothing."""
     dt, size = task.series.dt, values[term.size]
-    if size <= size_limits(task, term.size)[0]:
+    if _is_idle(task, term, values):
         return []
     if term.kind == "force":
         at_once = np.flatnonzero(task.felt.any(axis=0))

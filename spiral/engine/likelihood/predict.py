@@ -17,7 +17,7 @@ from spiral.engine.filter.algebra import compiled_algebra
 from spiral.engine.filter.extended import FilterInputs, FilterSettings, tracked_indices
 from spiral.engine.filter.lane_algebra import compiled_lane_algebra
 from spiral.engine.filter.task import FilterInput
-from spiral.engine.likelihood.noise import NoiseModel, noise_matrices
+from spiral.engine.likelihood.noise import NoiseModel, hold_idle_sizes, noise_matrices
 from spiral.engine.series import Series
 from spiral.engine.threads import run_in_threads
 from spiral.physics.flow import Flow, compile_flow
@@ -177,7 +177,7 @@ def vary_noise(
 
     tracked = tracked_indices(task, settings.tracked)
     first = noise_matrices(task, settings, noise)
-    parts = [noise_matrices(task, settings, n) for n in others]
+    parts = [noise_matrices(task, settings, n) for n in hold_idle_sizes(task, noise, others)]
     p, q, phi = (_in_lanes([getattr(m, a) for m in parts]) for a in ("p", "q", "phi"))
     r = _in_lanes([_white_variances(m.r, task.series) for m in parts])
     misses, spreads = (np.zeros((len(r), *run.misses.shape, LANES)) for _ in range(2))
