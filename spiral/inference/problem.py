@@ -10,7 +10,7 @@ from spiral.types.model import Model
 from spiral.types.parameter import Interpolation
 from spiral.types.placement import at_fitting_places
 from spiral.types.plugin import Plugin
-from spiral.types.record import Record
+from spiral.types.record import Record, spoilt_words
 from spiral.types.run import Suggestion
 
 DECISIVE_ODDS = 100.0
@@ -142,15 +142,15 @@ class Problem:
         return tuple(e for e in self.candidates if is_beside(e))
 
     def spoilt_sentences(self) -> tuple[str, ...]:
-        """Doubts of the records, once each, and what readings are no measurement, in words.
+        """Doubts of the records, and what readings are no measurement, in words, once each.
 
         Those of the test records are named as such.
         """
         doubts: dict[str, str] = {}
         for record in (*self.records, *self.test):
             doubts = {**record.doubts, **doubts}
-        fitted = [words for r in self.records for words in r.spoilt_words]
-        tested = [f"in the test record, {words}" for r in self.test for words in r.spoilt_words]
+        fitted = spoilt_words(self.records)
+        tested = [f"in the test record, {words}" for words in spoilt_words(self.test)]
         return (*doubts.values(), *fitted, *tested)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:

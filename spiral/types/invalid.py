@@ -56,11 +56,14 @@ _EXTRAPOLATED = 6.0  # deviation of a cubic's extrapolation over that of r, of w
 _GROWTH = 4.0  # of differences, from the 4th to the 8th, above which they are noise
 
 
+Kind = Literal["missing", "repeat", "spike", "dropout", "held", "clipped"]
+
+
 @dataclass(frozen=True)
 class InvalidReadings:
     """Invalid readings of one channel, of one kind; ``where`` (samples,) is True there."""
 
-    kind: Literal["missing", "repeat", "spike", "dropout", "held", "clipped"]
+    kind: Kind
     where: Array
 
     def told(self, channel: str) -> str:

@@ -10,7 +10,7 @@ from spiral.inference.simulate import simulate
 from spiral.types.errors import InputError
 from spiral.types.invalid import bridged, clipping, reading_step, spoilt_readings
 from spiral.types.model import seed_model
-from spiral.types.record import make_record
+from spiral.types.record import make_record, spoilt_words
 
 N = 4000
 TIME = 0.01 * np.arange(N)
@@ -342,3 +342,17 @@ def test_a_channel_without_most_of_its_readings_is_refused():
     x[: N // 2 + 1] = np.nan
     with pytest.raises(InputError, match="missing"):
         make_record(Oscillator(), "gaps", TIME, {"x": x}, {"force": MOTION})
+
+
+def test_what_is_invalid_in_several_records_is_told_once():
+    def record(missing, samples):
+        x = np.sin(np.arange(samples) / 9) + np.random.default_rng(samples).normal(size=samples)
+        x[np.arange(missing) * 7 + 20] = np.nan
+        time = np.arange(samples) / 200
+        return make_record(Oscillator(), "part", time, {"x": x}, {"force": np.cos(time)})
+
+    parts = [record(5, 300), record(0, 400), record(15, 1300)]
+    (words,) = spoilt_words(parts)
+    assert words.startswith("sensor x: 20 readings (1 %) are missing")
+    assert spoilt_words(parts[:1]) == parts[0].spoilt_words
+    assert spoilt_words(parts[1:2]) == ()
