@@ -55,6 +55,7 @@ from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.types.effect import ParameterEffect, is_plain_change
 from spiral.types.formatting import first_words
 from spiral.types.label import make_label, owner_of
+from spiral.types.port import varied_key
 from spiral.types.run import Comparison, Suggestion
 
 _LOOK = 3  # scoring steps after which a rival with the model's noise is to be likelier
@@ -120,7 +121,8 @@ def prefer_special_case(
     These may have dropped out of the race early, while they still had to find the width of a
     friction, say. Twins that are not told from the winner are among its aliases. Where effects that
     the model had are let go for it, or noise of another kind is found beside it, others at its
-    place are held against it as well: they were raced beside what is gone.
+    place are held against it as well: they were raced beside what is gone. So are plain changes of
+    a parameter, with whatever it follows, against one that has a point and a width.
     """
     whole, admitted = passed.whole, passed.rival.ranked.variant
     declared = _declared_look_alikes(whole.assembly, admitted)
@@ -128,6 +130,7 @@ def prefer_special_case(
     if whole.refitted.retired or _has_new_noise(passed):
         near = whole.assembly.problem.candidates_beside(admitted.original)
         beside = tuple(e.label for e in near if e.label != admitted.original.label)
+    beside = (*beside, *_plain_changes(whole.assembly, admitted))
     others = tuple(dict.fromkeys((*declared, *beside)))
     if not others:
         return passed
@@ -187,6 +190,22 @@ def _changes_of_others(assembly: Assembly, admitted: Variant) -> tuple[str, ...]
     return tuple(
         e.label for e in assembly.problem.changes()
         if is_plain_change(e) and e.port != change.port and system.place(e).against == followed
+    )  # fmt: skip
+
+
+def _plain_changes(assembly: Assembly, admitted: Variant) -> tuple[str, ...]:
+    """Plain changes of the parameter whose change has shapes to be searched; else none.
+
+    Beside the noise of a model that lacks it, a bump over what is measured may make up for more
+    than a resistance that follows a cell's core, which no sensor sees.
+    """
+    system, change = assembly.problem.model.system, admitted.original
+    if not isinstance(change, ParameterEffect) or change.steady or is_plain_change(change):
+        return ()
+    own = varied_key(system.place(change))
+    return tuple(
+        e.label for e in assembly.problem.changes()
+        if is_plain_change(e) and varied_key(system.place(e)) == own
     )  # fmt: skip
 
 

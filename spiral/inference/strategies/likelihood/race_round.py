@@ -53,6 +53,7 @@ from spiral.inference.strategies.likelihood.explaining import (
 from spiral.inference.strategies.likelihood.free_running import first_to_take_free_run
 from spiral.inference.strategies.likelihood.look_alikes import prefer_special_case
 from spiral.inference.strategy_options import LikelihoodOptions
+from spiral.types.effect import is_plain_change
 from spiral.types.run import Comparison
 
 _SHOWN = 0.5  # of a candidate's score for each reading, from which an excerpt shows it
@@ -269,8 +270,11 @@ def _race_changes(
     )  # fmt: skip
     if outcome.passed is None:
         return ()
+    passed = outcome.passed
+    if not is_plain_change(passed.rival.ranked.variant.original):
+        passed = prefer_special_case(options, passed, asked.progress)
     scored = ScoredRound(led[1], led[0].tried)
-    return (replace(contest, scored=scored, outcome=outcome, passed=outcome.admitted),)
+    return (replace(contest, scored=scored, outcome=outcome, passed=(passed,)),)
 
 
 def _with_leading_change(
