@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from spiral.types.effect import Effect, StateFlow
+from spiral.types.invalid import invalid_words
 from spiral.types.model import Model
 from spiral.types.parameter import Interpolation
 from spiral.types.placement import at_fitting_places
 from spiral.types.plugin import Plugin
-from spiral.types.record import Record, spoilt_words
+from spiral.types.record import Record
 from spiral.types.run import Suggestion
 
 DECISIVE_ODDS = 100.0
@@ -149,8 +150,11 @@ class Problem:
         doubts: dict[str, str] = {}
         for record in (*self.records, *self.test):
             doubts = {**record.doubts, **doubts}
-        fitted = spoilt_words(self.records)
-        tested = [f"in the test record, {words}" for words in spoilt_words(self.test)]
+        fitted, tested = (
+            invalid_words([(r.spoilt, r.samples) for r in records])
+            for records in (self.records, self.test)
+        )
+        tested = tuple(f"in the test record, {words}" for words in tested)
         return (*doubts.values(), *fitted, *tested)
 
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:

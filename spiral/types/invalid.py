@@ -23,7 +23,7 @@ motion carries from step to step has runs of one length, too: there a run is no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -103,6 +103,27 @@ class InvalidReadings:
     def padded(self, before: int, after: int) -> InvalidReadings:
         """The same with so many valid readings before and after."""
         return InvalidReadings(self.kind, np.pad(self.where, (before, after)))
+
+
+def invalid_words(
+    records: Sequence[tuple[Mapping[str, tuple[InvalidReadings, ...]], int]],
+) -> tuple[str, ...]:
+    """In words, which readings are invalid, each channel and kind once.
+
+    ``records`` : of each its invalid readings by channel, and its samples.
+    """
+    whole: dict[tuple[str, Kind], list[Array]] = {}
+    for place, (invalid, _) in enumerate(records):
+        for channel, some in invalid.items():
+            for one in some:
+                nothing = [np.zeros(samples, dtype=bool) for _, samples in records]
+                whole.setdefault((channel, one.kind), nothing)[place] = one.where
+    joined = {key: np.concatenate(parts) for key, parts in whole.items()}
+    return tuple(
+        InvalidReadings(kind, where).told(channel)
+        for (channel, kind), where in joined.items()
+        if where.any()
+    )
 
 
 def spoilt_readings(

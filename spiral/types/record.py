@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -14,7 +14,13 @@ import numpy as np
 from spiral.types.clock import MINIMUM_SAMPLES, check_forward, check_time, check_uniform
 from spiral.types.errors import InputError, did_you_mean
 from spiral.types.formatting import extent
-from spiral.types.invalid import InvalidReadings, Kind, bridged, clipping, spoilt_readings
+from spiral.types.invalid import (
+    InvalidReadings,
+    bridged,
+    clipping,
+    invalid_words,
+    spoilt_readings,
+)
 from spiral.types.noise import estimate_noise
 from spiral.types.parameter import HELD, Input, Interpolation
 from spiral.types.probing import readings_with_rates
@@ -182,7 +188,7 @@ class Record:
     @property
     def spoilt_words(self) -> tuple[str, ...]:
         """In words, which readings are invalid (missing, spikes, dropouts, clipped)."""
-        return spoilt_words((self,))
+        return invalid_words([(self.spoilt, self.samples)])
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -211,24 +217,6 @@ class Record:
             name: float(self.noise.get(name) or estimate_noise(self.valid_reading(name)))
             for name in self.channels
         }
-
-
-def spoilt_words(records: Sequence[Record]) -> tuple[str, ...]:
-    """In words, which readings of some records are invalid: each channel and kind once."""
-    whole: dict[tuple[str, Kind], list[Array]] = {}
-    for place, record in enumerate(records):
-        for channel, some in record.spoilt.items():
-            for invalid in some:
-                parts = whole.setdefault(
-                    (channel, invalid.kind), [np.zeros(r.samples, dtype=bool) for r in records]
-                )
-                parts[place] = invalid.where
-    joined = {key: np.concatenate(parts) for key, parts in whole.items()}
-    return tuple(
-        InvalidReadings(kind, where).told(channel)
-        for (channel, kind), where in joined.items()
-        if where.any()
-    )
 
 
 def _as_numbers(record: str, key: str, values: Any) -> Array:

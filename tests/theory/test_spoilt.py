@@ -6,11 +6,12 @@ from spiral_plugins.effects.restoring import CubicStiffness
 from spiral_plugins.systems.oscillator import Oscillator
 
 import spiral
+from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.types.errors import InputError
 from spiral.types.invalid import bridged, clipping, reading_step, spoilt_readings
 from spiral.types.model import seed_model
-from spiral.types.record import make_record, spoilt_words
+from spiral.types.record import make_record
 
 N = 4000
 TIME = 0.01 * np.arange(N)
@@ -351,8 +352,9 @@ def test_what_is_invalid_in_several_records_is_told_once():
         time = np.arange(samples) / 200
         return make_record(Oscillator(), "part", time, {"x": x}, {"force": np.cos(time)})
 
-    parts = [record(5, 300), record(0, 400), record(15, 1300)]
-    (words,) = spoilt_words(parts)
-    assert words.startswith("sensor x: 20 readings (1 %) are missing")
-    assert spoilt_words(parts[:1]) == parts[0].spoilt_words
-    assert spoilt_words(parts[1:2]) == ()
+    parts = (record(5, 300), record(0, 400), record(15, 1300))
+    problem = Problem(seed_model(Oscillator()), parts, parts[1:])
+    whole, tested = problem.spoilt_sentences()
+    assert whole.startswith("sensor x: 20 readings (1 %) are missing")
+    assert tested.startswith("in the test record, sensor x: 15 readings (0.88 %) are missing")
+    assert parts[1].spoilt_words == ()
