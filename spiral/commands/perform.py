@@ -34,8 +34,8 @@ def perform(
         return plugins.create_plugin(request)
     if request.verb == "report":
         return report.report(request, tell)
-    named = (*(f"system={n}" for n in request.names), *request.overrides)
-    registry = replace(load_registry(request.plugins), programs=programs_named(named))
+    programs = programs_named(request.overrides, request.names)
+    registry = replace(load_registry(request.plugins), programs=programs)
     if request.verb == "plugins":
         return plugins.list_plugins(request, registry)
     if request.verb == "check":

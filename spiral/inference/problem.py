@@ -150,12 +150,9 @@ class Problem:
         doubts: dict[str, str] = {}
         for record in (*self.records, *self.test):
             doubts = {**record.doubts, **doubts}
-        fitted, tested = (
-            invalid_words([(r.spoilt, r.samples) for r in records])
-            for records in (self.records, self.test)
-        )
-        tested = tuple(f"in the test record, {words}" for words in tested)
-        return (*doubts.values(), *fitted, *tested)
+        fitted = invalid_words([(r.spoilt, r.samples) for r in self.records])
+        tested = invalid_words([(r.spoilt, r.samples) for r in self.test])
+        return (*doubts.values(), *fitted, *(f"in the test record, {words}" for words in tested))
 
     def running(self, ways: Mapping[str, Interpolation]) -> Problem:
         """The same with these interpolations of inputs (``Record.running``)."""

@@ -42,11 +42,11 @@ def refuse_unnamed(file: str, programs: frozenset[str], named: str) -> None:
         )
 
 
-def programs_named(overrides: Sequence[str]) -> frozenset[str]:
-    """The programs that a command line names: ``system=FILE`` and ``system.path=FILE``."""
+def programs_named(overrides: Sequence[str], names: Sequence[str] = ()) -> frozenset[str]:
+    """The programs that a command line names: FILE, ``system=FILE`` and ``system.path=FILE``."""
     from spiral.io.overrides import parse_overrides
 
     given = [(i.path, str(i.value)) for i in parse_overrides(overrides) if not i.delete]
-    systems = {v for path, v in given if path == ("system",)}
+    systems = {*names, *(v for path, v in given if path == ("system",))}
     named = {v for v in systems if plugin_of_file(v) in PROGRAMS or is_python_file(v)}
     return frozenset(named | {v for path, v in given if path == ("system", "path")})

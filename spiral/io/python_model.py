@@ -13,12 +13,12 @@ import sys
 import traceback
 import warnings
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from spiral.io.programs import refuse_unnamed
 from spiral.types.errors import ConfigError
+from spiral.types.fields import plain
 from spiral.types.system import System
 
 _EXPECTED = "a file that ends with system = spiral.system(rhs, states=..., ...)"
@@ -55,8 +55,7 @@ def system_section(file: str, programs: frozenset[str]) -> dict[str, Any]:
             f"a class of systems is a plugin: put the file into ./plugins, and "
             f"system={system.plugin_name()}",
         )
-    own = {f.name: getattr(system, f.name) for f in fields(system)}  # type: ignore[arg-type]
-    return {"name": system.plugin_name(), **own}
+    return plain(system)
 
 
 def system_of_file(file: str) -> System:

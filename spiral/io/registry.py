@@ -120,7 +120,7 @@ class Registry:
 
     def _hint(self, name: str, names: tuple[str, ...]) -> str:
         if name.endswith(".py"):
-            return "a file of Python is run where a command names it: system=FILE.py"
+            return "system=FILE.py on the command line, spiral.system('FILE.py') in Python"
         for failure in self.failures:
             if name in (failure.name, Path(failure.file).stem):
                 return f"{failure.file} could not be used: {failure.message}"

@@ -23,6 +23,7 @@ motion carries from step to step has runs of one length, too: there a run is no 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -66,36 +67,6 @@ class InvalidReadings:
     kind: Kind
     where: Array
 
-    def told(self, channel: str) -> str:
-        """In words: how many readings of a channel are invalid, and why."""
-        count, share = int(self.where.sum()), float(self.where.mean())
-        many = f"{count} reading{'s' if count > 1 else ''} ({100 * share:.2g} %)"
-        one, several = {
-            "missing": ("is missing", "are missing"),
-            "spike": (
-                "stands out from its neighbours like a spike (an outlier)",
-                "stand out from their neighbours like spikes (outliers)",
-            ),
-            "repeat": (
-                "is a repeat: the sensor samples more slowly than this record",
-                "are repeats: the sensor samples more slowly than this record",
-            ),
-            "dropout": (
-                "drops to one value and comes back, as in a dropout",
-                "drop to one value and come back, as in a dropout",
-            ),
-            "held": (
-                "repeats the one before exactly, as in a dropout",
-                "repeat the one before exactly, as in a dropout",
-            ),
-            "clipped": (
-                "rests at an extreme: the sensor clips (saturates)",
-                "rest at an extreme: the sensor clips (saturates)",
-            ),
-        }[self.kind]
-        left = "it is" if count == 1 else "they are"
-        return f"sensor {channel}: {many} {one if count == 1 else several}; {left} left out"
-
     def part(self, cut: slice) -> InvalidReadings:
         """The same for a slice of the samples."""
         return InvalidReadings(self.kind, self.where[cut])
@@ -112,18 +83,43 @@ def invalid_words(
 
     ``records`` : of each its invalid readings by channel, and its samples.
     """
-    whole: dict[tuple[str, Kind], list[Array]] = {}
-    for place, (invalid, _) in enumerate(records):
+    total = sum(samples for _, samples in records)
+    counts: Counter[tuple[str, Kind]] = Counter()
+    for invalid, _ in records:
         for channel, some in invalid.items():
             for one in some:
-                nothing = [np.zeros(samples, dtype=bool) for _, samples in records]
-                whole.setdefault((channel, one.kind), nothing)[place] = one.where
-    joined = {key: np.concatenate(parts) for key, parts in whole.items()}
-    return tuple(
-        InvalidReadings(kind, where).told(channel)
-        for (channel, kind), where in joined.items()
-        if where.any()
-    )
+                counts[channel, one.kind] += int(one.where.sum())
+    return tuple(_words(*key, n, n / total) for key, n in counts.items() if n)
+
+
+def _words(channel: str, kind: Kind, count: int, share: float) -> str:
+    """In words: how many readings of a channel are invalid, and why."""
+    many = f"{count} reading{'s' if count > 1 else ''} ({100 * share:.2g} %)"
+    one, several = {
+        "missing": ("is missing", "are missing"),
+        "spike": (
+            "stands out from its neighbours like a spike (an outlier)",
+            "stand out from their neighbours like spikes (outliers)",
+        ),
+        "repeat": (
+            "is a repeat: the sensor samples more slowly than this record",
+            "are repeats: the sensor samples more slowly than this record",
+        ),
+        "dropout": (
+            "drops to one value and comes back, as in a dropout",
+            "drop to one value and come back, as in a dropout",
+        ),
+        "held": (
+            "repeats the one before exactly, as in a dropout",
+            "repeat the one before exactly, as in a dropout",
+        ),
+        "clipped": (
+            "rests at an extreme: the sensor clips (saturates)",
+            "rest at an extreme: the sensor clips (saturates)",
+        ),
+    }[kind]
+    left = "it is" if count == 1 else "they are"
+    return f"sensor {channel}: {many} {one if count == 1 else several}; {left} left out"
 
 
 def spoilt_readings(

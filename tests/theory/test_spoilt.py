@@ -9,7 +9,14 @@ import spiral
 from spiral.inference.problem import Problem
 from spiral.inference.simulate import simulate
 from spiral.types.errors import InputError
-from spiral.types.invalid import bridged, clipping, reading_step, spoilt_readings
+from spiral.types.invalid import (
+    InvalidReadings,
+    bridged,
+    clipping,
+    invalid_words,
+    reading_step,
+    spoilt_readings,
+)
 from spiral.types.model import seed_model
 from spiral.types.record import make_record
 
@@ -358,3 +365,12 @@ def test_what_is_invalid_in_several_records_is_told_once():
     assert whole.startswith("sensor x: 20 readings (1 %) are missing")
     assert tested.startswith("in the test record, sensor x: 15 readings (0.88 %) are missing")
     assert parts[1].spoilt_words == ()
+
+
+def test_parts_of_one_kind_are_counted_together():
+    """A record that was joined from two has what each of them lacked."""
+    first, second = np.zeros((2, 100), dtype=bool)
+    first[:2], second[50:53] = True, True
+    spoilt = {"x": tuple(InvalidReadings("missing", where) for where in (first, second))}
+    (words,) = invalid_words([(spoilt, 100)])
+    assert words.startswith("sensor x: 5 readings (5 %) are missing")
