@@ -11,6 +11,7 @@ from spiral.inference.discover import Checkpoint
 from spiral.inference.problem import Settings
 from spiral.inference.verdict import reasons_for_doubt
 from spiral.physics.passivity import implausible_signs
+from spiral.types.formatting import capitalised
 from spiral.types.invalid import reading_step
 from spiral.types.label import without_variant
 from spiral.types.record import Record
@@ -54,7 +55,7 @@ def turn_caveats(at: Checkpoint, settings: Settings) -> list[str]:
         for key, said in implausible_signs(model).items()
         if not any(c.startswith(f"{without_variant(key)} ") for c in last.contradictions)
     ]
-    sentences += [f"{said[:1].upper()}{said[1:]}." for said in last.contradictions]
+    sentences += [f"{capitalised(said)}." for said in last.contradictions]
     sentences += filter(None, (random_force_caveat(last, settings),))
     for number, one in enumerate(at.rounds):
         kept = {k: v for k, v in one.aliases.items() if k in model.labels}

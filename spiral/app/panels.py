@@ -9,7 +9,7 @@ from typing import Any
 
 from spiral.app import horizon_errors
 from spiral.app.study import LEARNED, Study, StudyState
-from spiral.types.formatting import digits, error_percent, number, percent, probability
+from spiral.types.formatting import capitalised, digits, error_percent, number, percent, probability
 from spiral.view.report import text
 from spiral.view.report.style import label_title, label_words, typeset_formula
 from spiral.view.terminal.preview import is_test_held_out
@@ -58,7 +58,7 @@ def caveats_note(said: Sequence[str]) -> str:
     """The caveats of a verdict as a list; empty where there are none."""
     if not said:
         return ""
-    items = "".join(f"<li>{escape(one[:1].upper() + one[1:])}</li>" for one in said)
+    items = "".join(f"<li>{escape(capitalised(one))}</li>" for one in said)
     return f'<div class="note caveats" id="caveats"><b>Caveats</b><ul>{items}</ul></div>'
 
 

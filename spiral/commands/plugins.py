@@ -108,7 +108,7 @@ def _check_model(
     system, config = _chosen_system(overrides, registry)
     chosen = config["system"]
     entry = registry.entry("system", chosen["name"])
-    file = str(chosen.get("path") or "")
+    file = str(chosen.get("path") or _program_in(overrides))
     tell(f"checking {file or chosen['name']}")
     named = replace(entry, name=file, file=file) if file else entry
     checks = check_system(system)
@@ -120,12 +120,20 @@ def _check_model(
     return named, checks
 
 
+def _program_in(overrides: Sequence[str]) -> str:
+    """The file of Python that overrides choose as the system, if they do."""
+    from spiral.io.system_files import is_python_file
+
+    chosen = (text.removeprefix("system=") for text in overrides if text.startswith("system="))
+    return next(filter(is_python_file, chosen), "")
+
+
 def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, str]:
     from spiral.io.testing import failed
 
     entry, failures = next((e, failed(checks)) for e, checks in checked if failed(checks))
     more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
-    kind = "plugin" if entry.file.endswith(".py") else "model"
+    kind = "model" if entry.name == entry.file else "plugin"
     passing = f"a {kind} that passes {failures[0].name!r}"
     given = f"{entry.kind} {failures[0].on}, in {entry.file}: {failures[0].seen}"
     if failures[0].name in ("record", "test"):

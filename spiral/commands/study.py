@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from spiral.io.request import OK, REFUSED, Outcome, Request
 from spiral.types.errors import ConfigError
+from spiral.types.formatting import capitalised
 
 if TYPE_CHECKING:
     from spiral.inference.problem import Problem
@@ -222,7 +223,7 @@ def _fit_failure(comparison: Comparison) -> dict[str, str]:
         return {}
     where = "" if comparison.random is not None else f" on windows of {comparison.horizon} samples"
     given = "a model whose free run leaves all bounds"
-    asked = [f"{s[0].upper()}{s[1:]}" for s in comparison.contradictions if s.endswith("?")]
+    asked = [capitalised(s) for s in comparison.contradictions if s.endswith("?")]
     first = "spiral diagnose with the same overrides, or first values: values='{NAME: VALUE}'"
     return {
         "given": given if comparison.converged else f"a fit that does not converge{where}",

@@ -10,7 +10,7 @@ from spiral.inference.nearness import is_free_run_telling_little, is_moved_unsee
 from spiral.inference.problem import Settings
 from spiral.inference.unknown.memory import memory_sentence
 from spiral.inference.verdict import noise_sentence
-from spiral.types.formatting import percent
+from spiral.types.formatting import capitalised, percent
 from spiral.types.run import Comparison, Round, StopReason, Verdict
 
 _FOR_MEMORY = (
@@ -106,12 +106,12 @@ def random_force_caveat(last: Comparison, settings: Settings, named: str = "") -
     named = named or f"random {what_acts(last.model)}s"
     if is_moved_unseen(last):
         return (
-            f"{named[:1].upper()}{named[1:]} are all that moves the machine, since no input does; "
+            f"{capitalised(named)} are all that moves the machine, since no input does; "
             "a record with one that is measured (a shaker, a step, the wind) tells far more."
         )
     much = "all" if last.disturbed >= 1.0 else percent(last.disturbed)
     return (
-        f"{named[:1].upper()}{named[1:]} move a free run by {much} of the motion: if nothing "
+        f"{capitalised(named)} move a free run by {much} of the motion: if nothing "
         "shakes the machine so, something is missing that only looks random in this record; a "
         "longer or livelier one tells."
     )

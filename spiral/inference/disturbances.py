@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spiral.types.formatting import duration, join_words, number, percent, plus_minus
+from spiral.types.formatting import capitalised, duration, join_words, number, percent, plus_minus
 from spiral.types.label import split_key
 from spiral.types.model import Model
 from spiral.types.noise import COLOURED, FORCES
@@ -67,7 +67,7 @@ def random_sentence(comparison: Comparison) -> str:
     if comparison.drifting > comparison.noise_floor:
         said.append("a free run errs by what a sensor drifts, also that of a right model")
     text = "; ".join(said)
-    return text[:1].upper() + text[1:] + "." if text else ""
+    return capitalised(text) + "." if text else ""
 
 
 def _spectrum_clause(kind: str, time: float | None) -> str:
@@ -89,7 +89,7 @@ def record_sentence(comparison: Comparison) -> str:
         *_bound_sentences(comparison.model),
     )
     text = "; ".join(said)
-    return text[:1].upper() + text[1:] + "." if text else ""
+    return capitalised(text) + "." if text else ""
 
 
 def input_sentences(between: Mapping[str, Interpolation]) -> tuple[str, ...]:
@@ -127,8 +127,8 @@ def _bound_sentences(model: Model) -> tuple[str, ...]:
         for bound in (b for b in at if np.isclose(value, b, rtol=1e-6, atol=0.0)):
             beyond = "with the other sign" if bound == 0 else "beyond it"
             said.append(
-                f"{name} lies at its bound of {number(bound)}: with this model the record asks for "
-                f"a value {beyond}"
+                f"the value of {name} lies at its bound of {number(bound)}: with this model the "
+                f"record asks for a value {beyond}"
             )
     return tuple(said)
 

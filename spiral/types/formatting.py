@@ -43,7 +43,7 @@ def sentences(text: str) -> list[tuple[str, tuple[str, ...]]]:
     about the one before it (``they are left out``) stays with it.
     """
     points: list[tuple[str, tuple[str, ...]]] = []
-    for one in re.split(r"(?<=[.!?])\s+(?=[A-Z])", text.strip()):
+    for one in re.split(r"(?<=[.!?])\s+(?=[A-Z]|[a-z]\w*[._@]\w)", text.strip()):
         first, *more = re.split(r"; (?!(?:it|they|this|test error) |[^(]*\))", one)
         lead, colon, rest = first.partition(": ")
         if more and colon and "missing" in lead:
@@ -57,10 +57,14 @@ def sentences(text: str) -> list[tuple[str, tuple[str, ...]]]:
 
 def _as_sentence(clause: str) -> str:
     """A clause that begins with a capital letter, but for a name, and ends with a full stop."""
-    word = clause.partition(" ")[0]
-    named = any(c in word for c in "._@")
-    first = clause if named else clause[:1].upper() + clause[1:]
+    first = capitalised(clause)
     return first if first.endswith(".") else f"{first}."
+
+
+def capitalised(words: str) -> str:
+    """Words with a capital letter first; a name (``system.k``) is written as it is."""
+    named = any(c in words.partition(" ")[0] for c in "._@")
+    return words if named else words[:1].upper() + words[1:]
 
 
 def number(value: float | None, digits: int = 4) -> str:

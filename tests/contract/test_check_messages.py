@@ -1,8 +1,12 @@
 """What ``spiral check`` says of systems from files: at values given, and of the first cause."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from spiral.commands.plugins import check_plugins
+from spiral.io.request import Request
 from spiral.io.testing import check_system, failed
 from tests.scenes import registry
 
@@ -128,3 +132,28 @@ def test_a_system_may_leave_out_ports_and_seed():
     ]  # fmt: skip
     places = [e.port for e in at_every_place(room, registry().make("effect", "linear_loss"))]
     assert "wall" in places
+
+
+def test_units_are_told_as_they_are_written_and_what_follows_from_them_in_short():
+    told = {k: c.seen for k, c in checks_of(COUPLED.replace("MASS", "92")).items()}
+    assert "T in N*m" in told["parameters"]
+    assert "p_rate in rad/s" in told["parameters"]
+    assert "(" not in told["units of the equations"] + told["injections"]
+
+
+def test_a_model_in_python_is_checked_under_its_own_name(tmp_path, monkeypatch):
+    (tmp_path / "slab.py").write_text(
+        "import spiral\n"
+        "system = spiral.system(lambda t, x, u, p: [(u.q - p.g * x.T) / p.C], states={'T': 'K'},\n"
+        "    inputs={'q': 'W'}, parameters={'C': (2.0, 'J/K'), 'g': (1.0, 'W/K')}, "
+        "observed=['T'])\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    told = []
+    named = replace(registry(), programs=frozenset({"slab.py"}))
+    outcome = check_plugins(Request("check", ("slab.py",)), named, told.append)
+    assert outcome.result["passed"]
+    assert told == ["checking slab.py"]
+    ((entry, checks),) = outcome.parts["checked"]
+    assert entry.name == "slab.py"
+    assert "docstring" not in {c.name for c in checks}

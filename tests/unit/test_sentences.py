@@ -1,6 +1,6 @@
 """Verdicts point by point."""
 
-from spiral.types.formatting import duration, extent, sentences
+from spiral.types.formatting import capitalised, duration, extent, sentences
 
 
 def test_sentences_are_points_and_lists_are_listed():
@@ -44,3 +44,10 @@ def test_times_are_told_in_a_unit_in_which_they_are_small():
 def test_slow_records_tell_how_often_they_are_read():
     assert extent(6000, 2000.0) == "6000 samples, 3 s, 2000 Hz"
     assert extent(720, 1 / 3600) == "720 samples, 30 d, one every 60 min"
+
+
+def test_names_keep_their_letters_at_the_beginning_of_a_sentence():
+    assert capitalised("noise of a sensor is large") == "Noise of a sensor is large"
+    assert capitalised("system.k is zero") == "system.k is zero"
+    told = sentences("What is left is white noise. system.k ends far off. So it is.")
+    assert len(told) == 3

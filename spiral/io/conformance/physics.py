@@ -191,7 +191,8 @@ def _parse_units(units: dict[str, str]) -> str:
     parsed = []
     for name, unit in units.items():
         try:
-            parsed.append(f"{name} in {short_form(unit) or '1'}")
+            derived = "(" in unit or not short_form(unit)  # else as its author writes it
+            parsed.append(f"{name} in {(short_form(unit) or '1') if derived else unit}")
         except Exception as error:
             raise PluginError(f"unit {unit!r} of {name!r}", "a unit that parses") from error
     return ", ".join(parsed) or "none"
@@ -213,11 +214,11 @@ def check_own_states(effect: Effect, physics: Physics) -> str:
 
 def check_equation_units(system: System, effects: Sequence[Effect]) -> str:
     """The equations give forces (readings, flows) in the unit of their port."""
-    from spiral.types.units import check_units
+    from spiral.types.units import check_units, short_form
 
     for effect in effects:
         check_units(system, effect)
-    return ", ".join(system.place(e).force_unit for e in effects) or "none"
+    return ", ".join(short_form(system.place(e).force_unit) for e in effects) or "none"
 
 
 def check_jacobians(physics: Physics) -> str:
@@ -496,4 +497,4 @@ def check_system_equations(system: System) -> str:
         check_rate_units(system)
         return ", ".join(short_form(per_second(s.unit)) for s in system.states)
     check_system_units(system)
-    return ", ".join(i.unit for i in system.injections)
+    return ", ".join(short_form(i.unit) for i in system.injections)

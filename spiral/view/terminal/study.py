@@ -17,7 +17,7 @@ from spiral.inference.disturbances import (
     what_acts,
 )
 from spiral.inference.nearness import next_sample_error
-from spiral.types.formatting import number, percent, probability
+from spiral.types.formatting import capitalised, number, percent, probability
 from spiral.view.terminal.findings import print_not_separable, print_unknown_shape
 from spiral.view.terminal.parts import (
     Screen,
@@ -192,7 +192,7 @@ def _compare(console: Console, outcome: Outcome) -> None:
     console.print(parameter_table(comparison.model))
     known = {n for r in outcome.parts["problem"].records for n in r.remarks}
     for note in dict.fromkeys(n for n in comparison.notes if n not in known):
-        console.print(Text(note[:1].upper() + note[1:]))
+        console.print(Text(capitalised(note)))
     for said in filter(None, (random_sentence(comparison), record_sentence(comparison))):
         console.print(Text(said))
     if random_forces(comparison):
