@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from spiral.math import exp, length, log, positive, tanh
+from spiral.math import cos, exp, length, log, positive, sin, tanh
 from spiral.types.effect import ParameterEffect
 from spiral.types.parameter import Parameter
 
@@ -34,6 +34,48 @@ class LinearChange(ParameterEffect):
         """1 + a (v - r)."""
         (v,) = at.position
         return 1 + p.slope * (v - p.reference)
+
+
+class MagnitudeChange(ParameterEffect):
+    """A parameter that grows with the size of what it follows: value = p (1 + a |v|).
+
+    A damper whose drag is linear and quadratic (p v + p a |v| v, Morison et al. 1950), a resistance
+    to a flow that turns turbulent, a loss with an alternating load. The corner at zero is rounded
+    over a hundredth of the largest v. It is tried where v goes to both sides of zero: elsewhere it
+    is a change in proportion.
+    """
+
+    parameters = (
+        Parameter("slope", "1/position"),
+        Parameter("unit", "position", lower=0.0, role="shape", grid=(1.0,), two_sided=True),
+    )
+
+    def factor(self, at, u, p):
+        """1 + a |v|."""
+        (v,) = at.position
+        corner = 0.01 * p.unit
+        return 1 + p.slope * (length([v, corner]) - corner)
+
+
+class PeriodicChange(ParameterEffect):
+    """A parameter that repeats N times in a turn: value = p (1 + a cos(N v) + b sin(N v)).
+
+    v in rad: what a pump with few rollers delivers, a motor's constant, a gear's ratio with a
+    wheel off its axis, a friction that follows the angle. N is tried from 1 to 24.
+    """
+
+    units = ("rad",)
+    periodic = True
+    parameters = (
+        Parameter("cosine", ""),
+        Parameter("sine", ""),
+        Parameter("count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25)))),
+    )
+
+    def factor(self, at, u, p):
+        """1 + a cos(N v) + b sin(N v)."""
+        angle = p.count * at.position[0]
+        return 1 + p.cosine * cos(angle) + p.sine * sin(angle)
 
 
 class QuadraticChange(ParameterEffect):

@@ -104,8 +104,13 @@ class Equations(MechanicalSystem):
 
     @property
     def auxiliaries(self):
-        """What ``let`` names of two variables or more."""
+        """What ``let`` names, or a parameter multiplies, of two variables or more."""
         return tuple(state for state, _ in self.form.auxiliaries)
+
+    @property
+    def arguments(self):
+        """Auxiliaries that a parameter multiplies: that parameter, and what it multiplies."""
+        return {a.value.name: (a.parameter, a.words) for a in self.form.arguments}
 
     def auxiliary(self, x, u, p):
         """a(x, u, p) of each."""

@@ -17,7 +17,7 @@ from spiral.types.effect import (
 from spiral.types.formatting import first_words, join_words, number
 from spiral.types.model import Model, pretty_unit
 from spiral.types.placement import at_every_place
-from spiral.types.port import place_name, varied_key
+from spiral.types.port import Port, place_name, varied_key
 from spiral.types.run import Round, untold_effects
 from spiral.types.system import System
 
@@ -49,6 +49,12 @@ def _look_alikes_clause(model: Model, rounds: Sequence[Round], label: str) -> st
     return f" (or {first_words(names)}: this record cannot tell them apart)"
 
 
+def followed_words(system: System, port: Port) -> str:
+    """What a parameter follows at a port: a variable, or the sum that it multiplies."""
+    _, words = system.arguments.get(port.against, ("", ""))
+    return words or port.against
+
+
 def _label_with_place(model: Model, label: str, least_t: float) -> str:
     """An effect of a model with its place, where its label leaves out that it is the first.
 
@@ -59,7 +65,8 @@ def _label_with_place(model: Model, label: str, least_t: float) -> str:
         return f"{label} ({_other_value(model, effect)})"
     if isinstance(effect, ParameterEffect):
         port = model.system.place(effect)
-        return f"{label} ({port.axes[0]} is no constant: it follows {port.against})"
+        follows = followed_words(model.system, port)
+        return f"{label} ({port.axes[0]} is no constant: it follows {follows})"
     if is_path(effect):
         port = model.system.place(effect)
         return f"{label} (on the way from {port.against} to {port.axes[0]})"

@@ -21,6 +21,7 @@ from spiral.io.conformance import (
     physics,
     regression,
     simulation,
+    units,
 )
 from spiral.io.registry import error_summary
 from spiral.types.derivative import Derivative
@@ -107,7 +108,7 @@ def check_effect(effect: Effect, system: System) -> list[Check]:
                 lambda: physics.check_own_states(effect, whole),
                 "return their rates from rate()",
             ),
-            ("units", lambda: physics.check_equation_units(system, (effect,)), _UNITS),
+            ("units", lambda: units.check_equation_units(system, (effect,)), _UNITS),
             ("jacobians", lambda: physics.check_jacobians(whole), _SMOOTH),
             ("finite at rest", lambda: physics.check_finite_values(whole), _REST),
             ("linear in amplitudes", lambda: physics.check_linearity(effect, whole), _LINEAR),
@@ -124,16 +125,16 @@ def check_system(system: System) -> list[Check]:
         [
             ("docstring", lambda: physics.docstring_equation(system), _SAY),
             ("names", lambda: physics.check_names(system), ""),
-            ("parameters", lambda: physics.check_declared_units(system), _UNITS),
+            ("parameters", lambda: units.check_declared_units(system), _UNITS),
             ("declares", lambda: declared.describe_declarations(system), ""),
             ("traces", lambda: physics.check_tracing(whole), _TRACE),
             (
                 "units of the seed",
-                lambda: physics.check_equation_units(system, system.seed),
+                lambda: units.check_equation_units(system, system.seed),
                 _UNITS,
             ),
             ("mass", lambda: physics.check_mass_matrix(system), _MASS),
-            ("units of the equations", lambda: physics.check_system_equations(system), _UNITS),
+            ("units of the equations", lambda: units.check_system_equations(system), _UNITS),
             ("injections", lambda: physics.check_injections(system), ""),
             ("jacobians", lambda: physics.check_jacobians(whole), _SMOOTH),
             ("finite at rest", lambda: physics.check_finite_values(whole), _REST),

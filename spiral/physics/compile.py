@@ -176,8 +176,12 @@ def write_function(
     traced: TracedModel,
     values: Sequence[sp.Expr],
     columns: Sequence[int] | None,
+    by_states: bool = True,
 ) -> None:
-    """A function of the module; with Jacobians by all states and these parameters, or without."""
+    """A function of the module; with Jacobians by all states and these parameters, or without.
+
+    ``by_states`` : whether the slopes by states are written where ``columns`` are given.
+    """
     builder, args = begin_function(
         module, name, VALUE_FUNCTION if columns is None else MODEL_FUNCTION
     )
@@ -190,7 +194,8 @@ def write_function(
     n = len(traced.x)
     active: dict[sp.Symbol, int] = {}
     if columns is not None:
-        active = {s: i for i, s in enumerate(traced.x)} | {traced.p[j]: n + j for j in columns}
+        active = {s: i for i, s in enumerate(traced.x) if by_states}
+        active |= {traced.p[j]: n + j for j in columns}
     emitter = Emitter(builder, given, active)
     for i, expression in enumerate(values):
         node = emitter.node(expression)

@@ -176,12 +176,15 @@ class ParameterEffect(Effect):
 
     The value that acts is ``factor`` times the parameter's own. Its port is that parameter and what
     it follows, ``PARAMETER-VARIABLE`` (``conductance-flow``, ``linear_stiffness.stiffness-time``).
-    ``position`` is the unit of what it follows. It has no states of its own. One that is ``steady``
-    follows nothing: a known parameter has another value; its port is that parameter.
+    ``position`` is the unit of what it follows, ``units`` those that it may have, empty for any. It
+    has no states of its own. One that is ``steady`` follows nothing: a known parameter has another
+    value; its port is that parameter. ``periodic`` : it repeats, so that no smooth change shows it.
     """
 
     axes: ClassVar[int | None] = 1
+    units: ClassVar[tuple[str, ...]] = ()
     steady: ClassVar[bool] = False
+    periodic: ClassVar[bool] = False
 
     @abstractmethod
     def factor(self, at: At, u: SimpleNamespace, p: SimpleNamespace) -> Any:
@@ -198,6 +201,11 @@ def is_plain_change(effect: object) -> TypeGuard[ParameterEffect]:
     if not isinstance(effect, ParameterEffect) or effect.steady or effect.bare:
         return False
     return all(len(p.grid) <= 1 for p in effect.parameters)
+
+
+def is_periodic_change(effect: object) -> TypeGuard[ParameterEffect]:
+    """Whether an effect is a parameter's change that repeats."""
+    return isinstance(effect, ParameterEffect) and effect.periodic
 
 
 def is_path(effect: object) -> TypeGuard[StateFlow]:

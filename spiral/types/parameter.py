@@ -47,6 +47,8 @@ class Parameter:
     centre : of a shape with a grid, its scale is the middle of what the port's position covers,
         where that is farther from zero than it is wide, else zero; without a ``start`` the effect
         is then not tried.
+    two_sided : of a shape with a grid, its effect is tried where the port's position goes to both
+        sides of zero, each by a fifth of the other at least.
     spread : of a shape with a grid, its scale is how far the port's position goes from that middle.
     most : of a shape with a grid, a value in the unit of its grid, beyond which the effect is no
         longer what its name says (a corner rounded over the whole motion). It is told with such a
@@ -79,6 +81,7 @@ class Parameter:
     centre: bool = False
     choice: bool = False
     spread: bool = False
+    two_sided: bool = False
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

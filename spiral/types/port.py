@@ -82,12 +82,18 @@ def difference_port(units: dict[str, str], into: State, other: str) -> Port:
     return replace(state_port(units, into), name=f"state {into.name}-{other}", against=other)
 
 
-def varied_ports(names: Iterable[str], followed: Mapping[str, str]) -> dict[str, Port]:
-    """Ports ``parameter NAME with VARIABLE`` by their place's name; ``followed`` has the units."""
+def varied_ports(
+    names: Iterable[str], followed: Mapping[str, str], own: Mapping[str, tuple[str, str]]
+) -> dict[str, Port]:
+    """Ports ``parameter NAME with VARIABLE`` by their place's name.
+
+    ``followed`` has the units of variables; one in ``own`` only the parameter named there follows.
+    """
     ports = (
         Port(f"parameter {name} with {variable}", (name,), lambda x, p: [], unit, "", variable)
         for name in names
         for variable, unit in followed.items()
+        if own.get(variable, (name, ""))[0] == name
     )
     return {place_name(port): port for port in ports}
 

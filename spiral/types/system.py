@@ -151,6 +151,11 @@ class System(Plugin):
         return {}
 
     @property
+    def arguments(self) -> dict[str, tuple[str, str]]:
+        """Auxiliaries that one parameter multiplies, which may follow it: it, and what in words."""
+        return {}
+
+    @property
     def defaults(self) -> dict[str, float]:
         """Nominal values by full parameter name (``cubic_stiffness@bearing_1.stiffness``)."""
         return {}
@@ -165,11 +170,8 @@ class System(Plugin):
 
     def port(self, name: str = "") -> Port:
         """A port by name; the first where no name is given."""
-        for port in self.ports:
+        for port in (*self.ports, *self.links):
             if port.name == name or not name:
-                return port
-        for port in self.links:
-            if port.name == name:
                 return port
         names = [port.name for port in self.ports]
         raise ConfigError(
@@ -447,8 +449,8 @@ class MechanicalSystem(System):
 
 def _moving(system: System) -> dict[str, str]:
     """Coordinates, and what their rates are called; none of a system without coordinates."""
-    coordinates = system.coordinates if has_coordinates(system) else ()
-    return {c.name: system.rate_name(c.name) for c in coordinates}
+    own = system.coordinates if has_coordinates(system) else ()
+    return {c.name: system.rate_name(c.name) for c in own}
 
 
 def _free_inputs(system: System) -> dict[str, str]:
@@ -460,13 +462,11 @@ def _free_inputs(system: System) -> dict[str, str]:
 def _varied_ports(system: System) -> dict[str, Port]:
     """``System.varied`` by the names that effects give as their port."""
     names = [p.name for p in system.parameters if (p.role, p.scope) == ("amplitude", "machine")]
-    names += [
-        key for effect in system.seed for key, p in effect.keys(system.place(effect))
-        if p.role == "amplitude"
-    ]  # fmt: skip
+    keys = (pair for effect in system.seed for pair in effect.keys(system.place(effect)))
+    names += [key for key, p in keys if p.role == "amplitude"]
     free = (i for i in system.inputs if not i.derived_from)
     followed = {x.name: x.unit for x in (*system.states, *free, *system.auxiliaries)}
-    return varied_ports(names, followed | {TIME: "s"})
+    return varied_ports(names, followed | {TIME: "s"}, system.arguments)
 
 
 @kept(32)

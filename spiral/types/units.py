@@ -222,9 +222,8 @@ def check_units(system: System, effect: Effect) -> None:
     import pint
 
     port = system.place(effect)
-    known = effect.units if isinstance(effect, StateFlow) else ()
-    if known and all(_parse(port.position_unit or "1").dimensionality
-                     != _parse(unit).dimensionality for unit in known):  # fmt: skip
+    known = effect.units if isinstance(effect, StateFlow | ParameterEffect) else ()
+    if known and not any(_is_one_kind(port.position_unit or "1", unit) for unit in known):
         raise ConfigError(
             f"effect {effect.label!r} at port {port.name!r} in {port.position_unit or '1'}",
             f"states in {', '.join(known)}",
@@ -238,6 +237,14 @@ def check_units(system: System, effect: Effect) -> None:
             "an equation whose units fit",
             "check the units of its parameters",
         ) from error
+
+
+def _is_one_kind(unit: str, other: str) -> bool:
+    """Whether two units are of one quantity; an angle is not a number."""
+    one, two = base_form(unit), base_form(other)
+    if one is None or two is None:
+        return _parse(unit).dimensionality == _parse(other).dimensionality
+    return one[1] == two[1]
 
 
 def check_system_units(system: MechanicalSystem) -> None:

@@ -49,7 +49,7 @@ def chain():
     })  # fmt: skip
 
 
-def task_with(law):
+def task_with(law, substeps=4):
     """The chain with an effect at its first mass, filtered along a record without it."""
     rng = np.random.default_rng(4)
     time = np.arange(600) * 0.02
@@ -69,7 +69,7 @@ def task_with(law):
     model = seed_model(system, (effect(law),), values=values)
     reading = {system.observed[0]: moved[MASSES - 1] + 1e-3 * rng.normal(size=600)}
     record = make_record(system, "chain", time, reading, {"F": push})
-    return prepare_filter(prepare_task(model, record, substeps=4, every=True), ())
+    return prepare_filter(prepare_task(model, record, substeps=substeps, every=True), ())
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -78,7 +78,7 @@ def test_predictions_are_those_of_transitions_made_anew(law, keys, monkeypatch):
     task, settings = task_with(law)
     noise = first_noise(task, 0.05)
     alike = predict_readings(task, settings, noise, keys, keep=True, carry=True)
-    monkeypatch.setattr(predict, "_MANY", 1000)
+    monkeypatch.setattr(predict, "MANY_STATES", 1000)
     anew = predict_readings(task, settings, noise, keys, keep=True, carry=True)
     for name in ("misses", "spreads", "slopes", "means", "transitions"):
         expected = getattr(anew, name)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from spiral.engine.filter.long_steps import long_steps_of
 from spiral.engine.filter.observer import Reconstruction
 from spiral.engine.filter.task import FilterInput
 from spiral.physics.compile import compile_model
@@ -93,6 +94,7 @@ def filter_record(
 ) -> FilterPass:
     """Filter the record, or its first ``samples``; ``keep`` what a smoother needs."""
     from spiral.engine.filter.kernel import EXACT, SECOND_ORDER, extended_filter
+    from spiral.engine.filter.long_steps_kernel import advance_long
 
     tracked = tracked_indices(task, settings.tracked)
     traced = task.compiled.traced
@@ -110,7 +112,8 @@ def filter_record(
         np.empty((kept, size, m)), np.empty((kept, m, size)),
     )  # fmt: skip
     likelihood, done = extended_filter(
-        flow.advance, compiled.rate, flow.output,
+        flow.advance, compiled.rate, flow.output, advance_long,
+        *long_steps_of(task, settings.tracked, ()).fields,
         np.concatenate([settings.start, task.values[tracked]]),
         settings.first_covariance,
         task.values.copy(), tracked, task.inputs, task.series.substeps, task.series.dt,

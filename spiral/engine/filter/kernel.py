@@ -14,6 +14,8 @@ import numba as nb
 import numpy as np
 from numba import types
 
+from spiral.engine.filter.long_steps import LONG_STEPS
+from spiral.engine.filter.long_steps_kernel import ADVANCE_LONG, long_step_room
 from spiral.engine.kernel import sensitivity_rates
 from spiral.physics.compile import MODEL_FUNCTION
 from spiral.physics.flow import FLOW_FUNCTION
@@ -233,16 +235,31 @@ def reset_to_identity(f):
         f[i, i] = 1.0
 
 
+@nb.njit(**INNER, fastmath=_FAST)
+def _exact_step(
+    flow, stepper, rest, sources, long, x, inputs, k, substeps, dt, values, tracked, wide,
+    work, room, f,
+):  # fmt: skip
+    """x a sample on and its slopes f; by long steps, if there are any, no parameter is tracked."""
+    stepped = long[4] > 0 and stepper(rest, sources, long, x, inputs, k, substeps, values,
+                                           tracked, wide, room)  # fmt: skip
+    if not stepped:
+        reset_to_identity(wide)
+        flow(x, inputs, k * substeps * 3, 3, substeps, dt / substeps, values, wide, work, 0)
+    f[: wide.shape[0]] = wide[:, : f.shape[1]]
+
+
 @nb.njit(
     types.Tuple((types.float64, types.int64))(
-        FLOW_FUNCTION, MODEL_FUNCTION, MODEL_FUNCTION, _F1, _F2, _F1, _I1, _F2, types.int64,
-        types.float64, types.int64, _F2, _F1, _F2, _F2, _F2, _F2, _F3, _F3, _F3, _F3, _F3,
+        FLOW_FUNCTION, MODEL_FUNCTION, MODEL_FUNCTION, ADVANCE_LONG, *LONG_STEPS, _F1, _F2, _F1,
+        _I1, _F2, types.int64, types.float64, types.int64, _F2, _F1, _F2, _F2, _F2, _F2, _F3, _F3,
+        _F3, _F3, _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def extended_filter(
-    flow, rate, output, x, p, values, tracked, inputs, substeps, dt, mode, y, r, q,
-    means, variances, innovations, spreads, covariances, transitions, gains, slopes,
+    flow, rate, output, stepper, rest, sources, long, x, p, values, tracked, inputs, substeps, dt,
+    mode, y, r, q, means, variances, innovations, spreads, covariances, transitions, gains, slopes,
 ):  # fmt: skip
     """Filter one record.
 
@@ -250,6 +267,7 @@ def extended_filter(
     ----------
     flow, rate, output : model functions with slopes by the ``tracked`` parameters; ``rate`` where
         ``mode`` is SECOND_ORDER.
+    stepper, rest, sources, long : ``long_steps_kernel.advance_long``, ``LongSteps.fields``.
     x : (N,) mean before the first sample, tracked parameters last; p : (N, N) its covariance;
         both are overwritten. values : (parameters,); tracked : indices of those appended to x.
     inputs : at the stages (``series.stage_inputs``); substeps : steps per sample; dt : s.
@@ -268,6 +286,7 @@ def extended_filter(
     size, n = x.shape[0], x.shape[0] - tracked.shape[0]
     a, b, big = np.zeros((n, n)), np.zeros((n, values.shape[0])), np.zeros((size, size))
     (wide, work), f = slope_workspace(n, size), np.eye(size)
+    room = long_step_room(long, n, wide.shape[1], inputs.shape[1], len(values), 0)
     h, c, cp = np.zeros(m), np.zeros((m, size)), np.zeros((m, size))
     cx, cv = np.zeros((m, n)), np.zeros((m, values.shape[0]))
     gain, w, likelihood = np.zeros((size, m)), np.zeros((m, m)), 0.0
@@ -286,9 +305,8 @@ def extended_filter(
             break
         write_tracked(values, tracked, x)
         if mode == EXACT:
-            reset_to_identity(wide)
-            flow(x, inputs, k * substeps * 3, 3, substeps, dt / substeps, values, wide, work, 0)
-            f[:n] = wide[:, :size]
+            _exact_step(flow, stepper, rest, sources, long, x, inputs, k, substeps, dt, values,
+                        tracked, wide, work, room, f)  # fmt: skip
         else:
             reset_to_identity(f)
             _second_order_step(rate, x, values, tracked, inputs, k * substeps * 3, substeps,

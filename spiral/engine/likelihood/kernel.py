@@ -27,6 +27,8 @@ from numba import types
 
 from spiral.engine.filter.algebra import ABSORB, PRODUCT, SPARSE
 from spiral.engine.filter.kernel import is_sound, reset_to_identity, slope_workspace, write_tracked
+from spiral.engine.filter.long_steps import LONG_STEPS
+from spiral.engine.filter.long_steps_kernel import ADVANCE_LONG, long_step_room
 from spiral.engine.likelihood.alike import (
     find_alike,
     is_worth_asking,
@@ -141,14 +143,21 @@ def _store_sample(k, c, x, kept, spreads, rows, means, gains):
 
 @nb.njit(**INNER, fastmath=_FAST)
 def advance_sample(
-    flow, watch, x, inputs, k, substeps, dt, values, same, f, work, own, own_work, alike
+    flow, watch, x, inputs, k, substeps, dt, values, same, f, work, own, own_work, ways,
+    stepper, rest, sources,
 ):  # fmt: skip
     """x a sample on, and its slopes f by states and parameters.
 
-    Where those by the states are the ``same`` as at the sample before, or those of one that was
-    kept (``likelihood.alike``), the others (``own``) alone.
+    By long steps where there are any (``long_steps_kernel``). Else, where those by the states are
+    the ``same`` as at the sample before, or those of one that was kept (``likelihood.alike``), the
+    others (``own``) alone. ``ways`` : the memory of kept ones; ``LongSteps``, the parameters that
+    slopes are by, of which none is tracked then, and its room.
     """
     n, at, step = f.shape[0], k * substeps * 3, dt / substeps
+    alike, long, moved, room = ways
+    if long[4] > 0 and stepper(rest, sources, long, x, inputs, k, substeps, values, moved, f,
+                                    room):  # fmt: skip
+        return
     kept, kept_slopes, bounds, counts, before = alike
     place = -2
     if not same and is_worth_asking(bounds.shape[1], counts):
@@ -198,12 +207,24 @@ def _take_reading(
     return calm if usual else 0
 
 
+@nb.njit(**INNER, fastmath=_FAST)
+def _advance_steadily(
+    k, product, sparse, a, phi, links, s, s_later, f, first, size, width, transitions
+):  # fmt: skip
+    """Slopes a sample on, by the transition of the sample before."""
+    n = f.shape[0]
+    store_transition(k, a, phi, n, transitions)
+    apply_transition(product, sparse, a, links, s, s_later, n, first)
+    transition_slopes(s_later, f, s, n, first, size, width, 0)
+
+
 @nb.njit(**LOOP, fastmath=_FAST)
 def _predict_along(
     values, flow, output, product, lower, sparse, absorb, both, tracked, inputs, substeps, dt,
     y, r, q, phi, seen, driven, constant, misses, spreads, slopes, means, transitions, gains, rows,
     flows, states, followed_states, followed, entries, links, f, work, p, later, a, turned, x, c, d,
-    scratch, space, h, cx, cv, own, own_work, kept, kept_rows, variances, s, s_later, watch, alike,
+    scratch, space, h, cx, cv, own, own_work, kept, kept_rows, variances, s, s_later, watch, ways,
+    stepper, rest, sources,
 ):  # fmt: skip
     """The loop of ``predict_record``, in arrays made before."""
     n, first, size, width, half = len(states), len(followed_states), len(q), slopes.shape[2], dt / 2
@@ -223,14 +244,13 @@ def _predict_along(
         write_tracked(values, followed, followed_states)
         add_forces(x, driven, entries, first, half)
         advance_sample(flow, watch, x, inputs, k, substeps, dt, values, constant and k > 0, f,
-                        work, own, own_work, alike)  # fmt: skip
+                        work, own, own_work, ways, stepper, rest, sources)  # fmt: skip
         store_flow(k, f, flows)
         add_forces(x, driven, entries, first, half)
         advance_noise_states(x, phi, first, scratch[0])
         if calm >= CALM:
-            store_transition(k, a, phi, n, transitions)
-            apply_transition(product, sparse, a, links, s, s_later, n, first)
-            transition_slopes(s_later, f, s, n, first, size, width, 0)
+            _advance_steadily(k, product, sparse, a, phi, links, s, s_later, f, first, size, width,
+                              transitions)  # fmt: skip
             continue
         transition_rows(f, driven, entries, first, half, a, turned)
         store_transition(k, a, phi, n, transitions)
@@ -245,14 +265,15 @@ def _predict_along(
     types.int64(
         FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, MODEL_FUNCTION, PRODUCT, PRODUCT, SPARSE,
         ABSORB, _F1, _F2, _F1, _I1, types.int64, _F2, types.int64, types.float64, _F2, _F2, _F2,
-        _F2, _F2, _F2, types.boolean, _F2, _F2, _F3, _F2, _F3, _F3, _F3, _F3,
+        _F2, _F2, _F2, types.boolean, ADVANCE_LONG, *LONG_STEPS, _F2, _F2, _F3, _F2, _F3, _F3, _F3,
+        _F3,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def predict_record(
     flow, watch, varying, output, product, lower, sparse, absorb, mean, covariance, values, both,
-    tracked, inputs, substeps, dt, y, r, q, phi, seen, driven, constant,
-    misses, spreads, slopes, means, transitions, gains, rows, flows,
+    tracked, inputs, substeps, dt, y, r, q, phi, seen, driven, constant, stepper, rest,
+    sources, long, misses, spreads, slopes, means, transitions, gains, rows, flows,
 ):  # fmt: skip
     """One-step predictions of a record.
 
@@ -272,6 +293,7 @@ def predict_record(
     q : (N, N) covariance that a sample adds; phi (k, k), seen (channels, k), driven (n, k) : Phi,
         H and G of the noise states.
     constant : whether the slopes of the flow by the states are the same at every sample.
+    stepper, rest, sources, long : ``long_steps_kernel.advance_long``, ``LongSteps.fields``.
     misses, spreads : (samples, channels) out: e and s; s is 0 where a channel is missing.
     slopes : (samples, channels, width) out: d. means : (samples, N) out, or no rows.
     transitions, gains, rows : (samples, N, N) F, (samples, channels, N) K and c out, for
@@ -304,5 +326,7 @@ def predict_record(
         rows, flows, x[:n], x[:first], both[:tracked], entries_of(driven),
         (entries_in(phi, columns, ends), columns, ends), f, work, p, later, a, turned, x, c, d,
         scratch, space, h, cx, cv, own, own_work, kept, kept_rows, np.zeros(size), s, s_later,
-        watch, memory_of_transitions(n, varying),
+        watch, (memory_of_transitions(n, varying), long, both[tracked:],
+                long_step_room(long, n, f.shape[1], inputs.shape[1], len(values), width)),
+        stepper, rest, sources,
     )  # fmt: skip

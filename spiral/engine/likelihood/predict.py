@@ -16,6 +16,7 @@ import numpy as np
 from spiral.engine.filter.algebra import compiled_algebra
 from spiral.engine.filter.extended import FilterInputs, FilterSettings, tracked_indices
 from spiral.engine.filter.lane_algebra import compiled_lane_algebra
+from spiral.engine.filter.long_steps import MANY_STATES, LongSteps, long_steps_of
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.noise import NoiseModel, hold_idle_sizes, noise_matrices
 from spiral.engine.series import Series
@@ -28,7 +29,6 @@ from spiral.types.record import Array
 
 RUNAWAY = -1e300
 _MOST_KEPT = 8_000_000  # slopes of the flow over all samples that are kept: 64 MB
-_MANY = 16  # states from which transitions of samples alike are worth looking for
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,7 @@ def predict_readings(
     keep: bool = False, carry: bool = False,
 ) -> Prediction:  # fmt: skip
     """Predict a record, with slopes by ``keys``; ``keep`` means, gains, rows, ``carry`` F too."""
+    from spiral.engine.filter.long_steps_kernel import advance_long
     from spiral.engine.likelihood.kernel import predict_record
 
     tracked = tracked_indices(task, settings.tracked)
@@ -128,7 +129,8 @@ def predict_readings(
         np.concatenate([first, np.zeros(size - len(first))]),
         parts.p, task.values.copy(), both, len(tracked), task.inputs, series.substeps, series.dt,
         np.ascontiguousarray(y), white, parts.q, parts.phi,
-        parts.seen, parts.driven, constant, *arrays,
+        parts.seen, parts.driven, constant, advance_long,
+        *_steps_of(task, settings, tuple(keys)).fields, *arrays,
     )  # fmt: skip
     return Prediction(*arrays, int(done), settings.volume)
 
@@ -140,8 +142,17 @@ def _white_variances(variance: Array, series: Series) -> Array:
 
 def _task_flow(task: FilterInput, settings: FilterSettings, keys: tuple[str, ...] = ()) -> Flow:
     """The flow of a task with slopes by tracked parameters and these; one for all that it moves."""
-    moved = task.moved if task.moved[: len(keys)] == keys else keys
-    return compile_flow(task.compiled.traced, (*settings.tracked, *moved))
+    return compile_flow(task.compiled.traced, (*settings.tracked, *_moved_keys(task, keys)))
+
+
+def _steps_of(task: FilterInput, settings: FilterSettings, keys: tuple[str, ...] = ()) -> LongSteps:
+    """Long steps of a task with slopes as ``_task_flow`` has them."""
+    return long_steps_of(task, settings.tracked, _moved_keys(task, keys))
+
+
+def _moved_keys(task: FilterInput, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """The parameters that a task's slopes are compiled for: all that move in it, these first."""
+    return task.moved if task.moved[: len(keys)] == keys else keys
 
 
 def _watched_slopes(
@@ -152,7 +163,7 @@ def _watched_slopes(
     ``moved`` : parameters that the columns beside those of the states are of. None where F is
     ``constant``, and made once in any case, or where a tracked parameter may change it.
     """
-    few = len(task.states) < max(_MANY, 2 * moved)
+    few = len(task.states) < max(MANY_STATES, 2 * moved)
     if few or constant or settings.tracked:
         return no_slope_bounds()
     return compile_slope_bounds(task.compiled.traced)
@@ -173,6 +184,7 @@ def vary_noise(
 
     ``others`` have the terms of ``noise``, which is that of the run, with other values.
     """
+    from spiral.engine.filter.long_steps_kernel import advance_long
     from spiral.engine.likelihood.variation_kernel import vary_record
 
     tracked = tracked_indices(task, settings.tracked)
@@ -188,8 +200,9 @@ def vary_noise(
     vary_record(
         _task_flow(task, settings).advance, watched.advance, watched.count, compiled.advance,
         compiled.absorb, task.values.copy(), tracked, task.inputs, series.substeps, series.dt,
-        first.phi, first.driven, constant, run.means, run.gains, run.rows, run.flows, run.misses,
-        run.spreads, p, r, q, phi, misses, spreads,
+        first.phi, first.driven, constant, advance_long, *_steps_of(task, settings).fields,
+        run.means, run.gains, run.rows, run.flows, run.misses, run.spreads, p, r, q, phi, misses,
+        spreads,
     )  # fmt: skip
     lanes = [divmod(j, LANES) for j in range(len(others))]
     return [(misses[b, ..., v].copy(), spreads[b, ..., v].copy()) for b, v in lanes]

@@ -12,6 +12,8 @@ from numba import types
 
 from spiral.engine.filter.kernel import slope_workspace, write_tracked
 from spiral.engine.filter.lane_algebra import ABSORB, ADVANCE, SPARE
+from spiral.engine.filter.long_steps import LONG_STEPS
+from spiral.engine.filter.long_steps_kernel import ADVANCE_LONG, long_step_room
 from spiral.engine.likelihood.alike import memory_of_transitions
 from spiral.engine.likelihood.kernel import advance_sample
 from spiral.engine.likelihood.steady import CALM, SETTLED, is_read_alike
@@ -111,7 +113,7 @@ def _vary_along(
     values, flow, advance, absorb, followed, inputs, substeps, dt, phi, driven, constant, means,
     gains, rows, flows, before, seen, r, q, misses, spreads, n, first, followed_states, entries,
     columns, ends, links, f, work, p, w, x, here, scratch, a, turned, own, own_work, kept,
-    variances, calm, watch, alike,
+    variances, calm, watch, ways, stepper, rest, sources,
 ):  # fmt: skip
     """The loop of ``vary_record``, in arrays made before."""
     samples, size = means.shape
@@ -134,8 +136,10 @@ def _vary_along(
                     here[i] = means[k, i]
                 write_tracked(values, followed, followed_states)
                 add_forces(here, driven, entries, first, 0.5 * dt)
-                advance_sample(flow, watch, here, inputs, k, substeps, dt, values, same, f, work,
-                               own, own_work, alike)  # fmt: skip
+                advance_sample(
+                    flow, watch, here, inputs, k, substeps, dt, values, same, f, work, own,
+                    own_work, ways, stepper, rest, sources,
+                )  # fmt: skip
             transition_rows(f, driven, entries, first, 0.5 * dt, a, turned)
         for b in range(len(x)):
             _propagate_departure(x[b], a, means[k], phi, links[b], columns, ends, n, first, scratch)
@@ -148,14 +152,15 @@ def _vary_along(
 @nb.njit(
     types.void(
         FLOW_FUNCTION, BOUNDS_FUNCTION, types.int64, ADVANCE, ABSORB, _F1, _I1, _F2, types.int64,
-        types.float64, _F2, _F2, types.boolean, _F2, _F3, _F3, _F3, _F2, _F2, _F4, _F4, _F4, _F4,
-        _F4, _F4,
+        types.float64, _F2, _F2, types.boolean, ADVANCE_LONG, *LONG_STEPS, _F2, _F3, _F3, _F3, _F2,
+        _F2, _F4, _F4, _F4, _F4, _F4, _F4,
     ),
     cache=True, nogil=True, error_model="numpy", fastmath=_FAST,
 )  # fmt: skip
 def vary_record(
     flow, watch, varying, advance, absorb, values, followed, inputs, substeps, dt, phi, driven,
-    constant, means, gains, rows, flows, before, seen, starts, r, q, phis, misses, spreads,
+    constant, stepper, rest, sources, long, means, gains, rows, flows, before, seen, starts,
+    r, q, phis, misses, spreads,
 ):  # fmt: skip
     """One-step predictions of a record under other models of its noise, along one filtered motion.
 
@@ -196,5 +201,8 @@ def vary_record(
         gains, rows, flows, before, seen, r, added, misses, spreads, n, first, here[:first],
         entries_of(driven), columns, ends, links, f, work, p, w, x, here, scratch, a, turned, own,
         own_work, np.zeros((blocks, channels, size + 1, LANES)), np.zeros((blocks, size, LANES)),
-        np.zeros(blocks, dtype=np.int64), watch, memory_of_transitions(n, varying),
+        np.zeros(blocks, dtype=np.int64), watch,
+        (memory_of_transitions(n, varying), long, followed,
+         long_step_room(long, n, f.shape[1], inputs.shape[1], len(values), len(followed))),
+        stepper, rest, sources,
     )  # fmt: skip

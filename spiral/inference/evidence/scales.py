@@ -44,6 +44,7 @@ from spiral.types.record import Array, Record
 from spiral.types.system import TIME, System, has_coordinates
 
 _LEVEL = 0.3  # process noise of the filter: a model that is wrong by three tenths of every rate
+_OTHER_SIDE = 0.2  # of its largest size, from which a position goes to both sides of zero
 _WINDOW = 11  # samples of a local polynomial
 
 
@@ -85,6 +86,7 @@ def largest_port_motion(
         largest[f"{port.name}.position"] = float(np.abs(values).max())
         middle = largest[f"{port.name}.middle"] = _middle_far_from_zero(values)
         largest[f"{port.name}.spread"] = float(np.abs(values - middle).max())
+        largest[f"{port.name}.less"] = max(0.0, min(float(values.max()), -float(values.min())))
     return {**largest, **_largest_signals(system, records)}
 
 
@@ -166,6 +168,9 @@ def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) 
         return largest.get(f"{port.name}.middle", 0.0)
     if parameter.spread:
         return largest[f"{port.name}.spread"]
+    if parameter.two_sided:
+        less, more = (largest[f"{port.name}.{kind}"] for kind in ("less", "position"))
+        return more if less >= _OTHER_SIDE * more else 0.0
     if parameter.unit == "s":
         farthest, fastest = (largest[f"{port.name}.{kind}"] for kind in ("position", "velocity"))
         return farthest / fastest if fastest > 0 else np.inf

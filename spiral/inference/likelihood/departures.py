@@ -28,6 +28,7 @@ from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.score import residual_block_samples
 from spiral.engine.series import sample_inputs
 from spiral.inference.disturbances import what_acts
+from spiral.inference.effect_words import followed_words
 from spiral.physics.passivity import implausible_signs
 from spiral.types.effect import ParameterEffect
 from spiral.types.formatting import duration, number, percent, plus_minus
@@ -134,7 +135,8 @@ def several_causes_sentences(model: Model, given: Iterable[str]) -> tuple[str, .
     ]
     if len({port.against for port in ports}) < _CAUSES:
         return ()
-    told = " and ".join(f"{port.axes[0]} follows {port.against}" for port in ports)
+    follows = (f"{p.axes[0]} follows {followed_words(model.system, p)}" for p in ports)
+    told = " and ".join(dict.fromkeys(follows))
     return (
         f"{told}: one cause would be one variable, and together they may stand in for a law that "
         "no candidate is",

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spiral.io.conformance.units import parse_units
 from spiral.physics.starts import fill_declared_starts
 from spiral.types.effect import Effect, InputEffect, ParameterEffect, SensorEffect, is_path
 from spiral.types.errors import PluginError, did_you_mean
@@ -176,26 +177,13 @@ def check_effect_declarations(effect: Effect, system: System) -> str:
             "one that is zero when the effect is absent",
             "Parameter('stiffness', 'force/position') and use it as a factor",
         )
-    return _parse_units({i.name: port.unit(i.unit) for i in (*effect.parameters, *effect.states)})
+    return parse_units({i.name: port.unit(i.unit) for i in (*effect.parameters, *effect.states)})
 
 
 def _check_unique(kind: str, names: Sequence[str]) -> None:
     twice = sorted({n for n in names if list(names).count(n) > 1})
     if twice:
         raise PluginError(f"{kind} {', '.join(twice)} twice", "each name once")
-
-
-def _parse_units(units: dict[str, str]) -> str:
-    from spiral.types.units import short_form
-
-    parsed = []
-    for name, unit in units.items():
-        try:
-            derived = "(" in unit or not short_form(unit)  # else as its author writes it
-            parsed.append(f"{name} in {(short_form(unit) or '1') if derived else unit}")
-        except Exception as error:
-            raise PluginError(f"unit {unit!r} of {name!r}", "a unit that parses") from error
-    return ", ".join(parsed) or "none"
 
 
 def check_tracing(physics: Physics) -> str:
@@ -210,15 +198,6 @@ def check_own_states(effect: Effect, physics: Physics) -> str:
     if effect.states and not own:
         raise PluginError("states of its own without rates", "a rate for each")
     return ", ".join(parameter_of(n) for n in own) or "none"
-
-
-def check_equation_units(system: System, effects: Sequence[Effect]) -> str:
-    """The equations give forces (readings, flows) in the unit of their port."""
-    from spiral.types.units import check_units, short_form
-
-    for effect in effects:
-        check_units(system, effect)
-    return ", ".join(short_form(system.place(e).force_unit) for e in effects) or "none"
 
 
 def check_jacobians(physics: Physics) -> str:
@@ -398,17 +377,6 @@ def _check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
             )
 
 
-def check_declared_units(system: System) -> str:
-    """Units of states, inputs, parameters, injections and ports parse."""
-    _parse_units({i.name: i.unit for i in system.injections})
-    for port in system.ports:
-        _parse_units({f"position at {port.name}": port.position_unit})
-        _parse_units({f"force at {port.name}": port.force_unit})
-    return _parse_units(
-        {i.name: i.unit for i in (*system.states, *system.inputs, *system.parameters)}
-    )
-
-
 def check_injections(system: System) -> str:
     """What effects add to the system reaches its rates: every injection changes one."""
     from spiral.physics.signatures import injection_slopes
@@ -478,23 +446,3 @@ def _values_in_mass(system: MechanicalSystem, q: SimpleNamespace, p: SimpleNames
                 own = place is p and f"system.{name}" in given
                 words.append(f"{name} = {value:.4g}" + (" (given)" if own else " (tried)"))
     return ", ".join(words) or "all values"
-
-
-def check_system_equations(system: System) -> str:
-    """Units fit in readings, in M q'' and the own force, or in the rates of first order."""
-    from spiral.types.rates import per_second
-    from spiral.types.units import (
-        check_rate_units,
-        check_reading_units,
-        check_system_units,
-        short_form,
-    )
-
-    check_reading_units(system)
-    if not system.balanced:
-        return "inside the program"
-    if not has_coordinates(system):
-        check_rate_units(system)
-        return ", ".join(short_form(per_second(s.unit)) for s in system.states)
-    check_system_units(system)
-    return ", ".join(short_form(i.unit) for i in system.injections)

@@ -18,6 +18,7 @@ from typing import Any
 import sympy as sp
 
 from spiral.physics.formulas import syntax
+from spiral.physics.formulas.arguments import Argument, arguments_of
 from spiral.physics.formulas.capacity import flow_capacities
 from spiral.physics.formulas.definition import SystemDefinition, definition_of
 from spiral.physics.formulas.dimensions import DimensionWalk, UnitEquations, dimension
@@ -48,7 +49,8 @@ class StandardForm:
 
     ``rates`` are the names of the coordinates' rates, ``capacities`` those of states that have a
     changing one, with its formula, ``force_units`` the units of the rows,
-    ``readings`` what is measured that is no state, ``auxiliaries`` what ``let`` names.
+    ``readings`` what is measured that is no state, ``named`` what ``let`` names, ``arguments`` what
+    parameters multiply.
     """
 
     definition: SystemDefinition
@@ -61,7 +63,13 @@ class StandardForm:
     capacities: tuple[tuple[str, str], ...]
     force_units: tuple[str, ...]
     readings: tuple[tuple[State, str], ...]
-    auxiliaries: tuple[tuple[State, str], ...]
+    named: tuple[tuple[State, str], ...]
+    arguments: tuple[Argument, ...]
+
+    @property
+    def auxiliaries(self) -> tuple[tuple[State, str], ...]:
+        """What ``let`` names, or a parameter multiplies, and its formula."""
+        return (*self.named, *((a.value, a.formula) for a in self.arguments))
 
     @property
     def units(self) -> dict[str, str]:
@@ -101,12 +109,10 @@ def _arrange_equations(given: SystemDefinition, rows: Sequence[EquationRow]) -> 
     kinematic = {symbol(c + FIRST): symbol(v) for c, v in velocity.items()}
     values = [r.value.subs(kinematic) for r in left]
     if len(left) != len(unknown):
+        due = [restore_primes(str(s)) for s in (*(symbol(c + FIRST) for c in pairs), *unknown)]
         raise ConfigError(
             f"{len(rows)} equations for the states {', '.join(s.name for s in given.states)}",
-            f"{len(unknown) + len(taken)}, one for each of "
-            + ", ".join(
-                restore_primes(str(s)) for s in (*(symbol(c + FIRST) for c in pairs), *unknown)
-            ),
+            f"{len(unknown) + len(taken)}, one for each of {', '.join(due)}",
         )
     count, places = len(coordinates), [r.place for r in left]
     order, signs, matrix = _match_equations(values, unknown, places, count)
@@ -125,6 +131,7 @@ def _arrange_equations(given: SystemDefinition, rows: Sequence[EquationRow]) -> 
         tuple(tuple(formula_text(inertia[i, j]) for j in range(count)) for i in range(count)),
         tuple(map(formula_text, force)), tuple(map(formula_text, flow)), capacities, force_units,
         readings_of(given, velocity), auxiliaries_of(given, velocity),
+        arguments_of(given, rows, velocity),
     )  # fmt: skip
 
 

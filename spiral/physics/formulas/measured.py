@@ -47,7 +47,7 @@ def readings_of(
                 if symbol(state + SECOND) in value.free_symbols:
                     expected = f"of a coordinate: {', '.join(velocity) or 'there is none'}"
                     raise ConfigError(f"{state}''", expected)
-            unit = _formula_unit(given, value, row_units(given), formula)
+            unit = formula_unit(given, value, row_units(given), formula)
         except ConfigError as error:
             said = restore_primes(error.given)
             raise ConfigError(f"{place}: {said}", error.expected, error.try_) from error
@@ -71,7 +71,7 @@ def auxiliaries_of(
         formula = replace_primes(text, {i.name: i.rate.name for i in given.inputs})
         try:
             value = formula_expression(given, formula)
-            unit = _formula_unit(given, value, row_units(given), formula)
+            unit = formula_unit(given, value, row_units(given), formula)
         except ConfigError:  # said where an equation holds it
             continue
         used = {restore_primes(str(s)) for s in value.free_symbols}
@@ -81,7 +81,7 @@ def auxiliaries_of(
     return tuple(auxiliaries)
 
 
-def _formula_unit(
+def formula_unit(
     given: SystemDefinition, value: sp.Expr, units: Mapping[str, str], text: str
 ) -> str:
     """The unit of a formula: one that is used already where it is of its size, else a product."""

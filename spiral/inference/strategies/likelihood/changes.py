@@ -20,7 +20,7 @@ from spiral.inference.likelihood.scores import rank_variants
 from spiral.inference.likelihood.tolerances import Tolerances
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.likelihood.admission import offer_effects, race_offered
-from spiral.types.effect import Effect, ParameterEffect, is_plain_change
+from spiral.types.effect import Effect, ParameterEffect, is_periodic_change, is_plain_change
 
 _CHANGES = 5  # pairs of a parameter and what it follows, for which every form is tried
 _LEADING = 2  # of these where they lead
@@ -67,6 +67,7 @@ class PromisingChanges:
         A change of several amplitudes (a parabola) shows no lead: it is to be compared with as many
         candidates, of which it may be the sum (a spring's k (1 + a x + b x^2) is a quadratic and a
         cubic spring), and to first order a change of one amplitude scores as its larger part does.
+        One that repeats leads with each of its amplitudes: no candidates add up to it.
         ``lead`` : times the best candidate's gain that its own has to be.
         """
         ranked, changes = self._score_beside(base)
@@ -74,8 +75,11 @@ class PromisingChanges:
             return None
         least = min((r.rank for r in candidates.ranked), default=0.0)
         enough = lead * max((r.score.gain for r in candidates.ranked), default=0.0)
-        plain = (r for r in ranked.ranked if len(r.columns) == 1 and r.score.gain >= enough)
-        leading = (r.variant.original.port for r in plain if r.rank < min(least, 0.0))
+        leading = (
+            r.variant.original.port for r in ranked.ranked
+            if (len(r.columns) == 1 or is_periodic_change(r.variant.original))
+            and r.score.gain >= len(r.columns) * enough and r.rank < min(least, 0.0)
+        )  # fmt: skip
         best = {*itertools.islice(dict.fromkeys(leading), _LEADING)}
         forms = tuple(e for e in changes if e.port in best and not e.bare)
         if not forms:
@@ -89,13 +93,13 @@ class PromisingChanges:
 
 
 def _rank_plain_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) -> Ranking | None:
-    """Plain forms of all changes by their score.
+    """Plain forms of all changes, and what repeats, by their score.
 
-    They have no shapes to be searched: a line, a parabola, a power and an exponential show what any
-    smooth change would.
+    Plain ones have no shapes to be searched: a line, a parabola, a power and an exponential show
+    what any smooth change would.
     """
     changes = assembly.problem.changes()
-    plain = tuple(e for e in changes if is_plain_change(e))
+    plain = tuple(e for e in changes if is_plain_change(e) or is_periodic_change(e))
     offered = offer_effects(assembly, plain)
     return rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
 

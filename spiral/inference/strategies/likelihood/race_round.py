@@ -309,8 +309,11 @@ def _last_comparison(asked: RoundInput, contest: TestedCandidates) -> Comparison
 def _leaves_nothing(last: Comparison, settings: Settings) -> bool:
     """Whether noise explains all that a model leaves, and its free run errs by no more than that.
 
-    A free run that random forces or uncertain values excuse may still hide what is missing.
+    A free run that random forces or uncertain values excuse may still hide what is missing, and so
+    may noise of a sensor that is mostly coloured.
     """
+    if may_noise_stand_in(last, settings):
+        return False
     return is_near_noise(last, settings) and leaves_less_than_noise(last.test_error, last, settings)
 
 
