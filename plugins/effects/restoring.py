@@ -162,14 +162,17 @@ class Cogging(ForceEffect):
     """A torque that repeats N times in a turn: F = a cos(N q) + b sin(N q), q in rad.
 
     Magnets against teeth (Hanselman, Brushless Permanent Magnet Motor Design, ch. 5), a detent, a
-    gear's tooth passing. N is tried from 1 to 24; once a turn it is also a weight off the axis.
+    gear's tooth passing. N is tried from 1 to 24 and, where the record shows it, beyond; once a
+    turn it is also a weight off the axis.
     """
 
     axes = 1
     parameters = (
         Parameter("cosine", "force"),
         Parameter("sine", "force"),
-        Parameter("count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25)))),
+        Parameter(
+            "count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25))), repeats=True
+        ),
     )
 
     def force(self, at, u, p):

@@ -61,7 +61,8 @@ class PeriodicChange(ParameterEffect):
     """A parameter that repeats N times in a turn: value = p (1 + a cos(N v) + b sin(N v)).
 
     v in rad: what a pump with few rollers delivers, a motor's constant, a gear's ratio with a
-    wheel off its axis, a friction that follows the angle. N is tried from 1 to 24.
+    wheel off its axis, a friction that follows the angle. N is tried from 1 to 24 and,
+    where the record shows it, beyond.
     """
 
     units = ("rad",)
@@ -69,7 +70,9 @@ class PeriodicChange(ParameterEffect):
     parameters = (
         Parameter("cosine", ""),
         Parameter("sine", ""),
-        Parameter("count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25)))),
+        Parameter(
+            "count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25))), repeats=True
+        ),
     )
 
     def factor(self, at, u, p):

@@ -58,6 +58,8 @@ class Parameter:
         would make the whole response.
     choice : of a shape with a grid, it is one of these values and nothing between (where the zero
         of a unit lies): no fit frees it.
+    repeats : of a shape with a grid, how often its effect repeats for one unit of the port's
+        position; the default strategy also looks beyond the grid, as far as the records show it.
     search : each value of a grid of frequencies moves, by at most this share of it, to the
         strongest spectral line of the records' channels.
     spectrum : of a shape of an effect with states of its own, in Hz or s: its values are laid at
@@ -82,6 +84,7 @@ class Parameter:
     choice: bool = False
     spread: bool = False
     two_sided: bool = False
+    repeats: bool = False
 
     def __post_init__(self) -> None:
         _check_name("parameter", self.name)

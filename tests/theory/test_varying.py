@@ -340,31 +340,31 @@ def test_a_conductance_that_grows_with_a_power_of_the_flow_is_named():
     assert run.rounds[-1].comparison.test_error < 1.1 * run.rounds[-1].comparison.noise_floor
 
 
-def bump(flow):
-    """A conductance that is of none of the forms: a bump over the flow."""
-    return 33.0 * (1 + 0.8 * np.exp(-(((flow - 0.8) / 0.2) ** 2)))
+def waves(flow):
+    """A conductance that is of none of the forms: nearly two waves over the flow."""
+    return 33.0 * (1 + 0.5 * np.sin(2 * np.pi * flow / 0.8))
 
 
 @pytest.fixture(scope="module")
-def bumpy():
+def wavy():
     system = heater()
-    record = record_of(system, bump, 3, samples=3000, held=20)
+    record = record_of(system, waves, 3, samples=3000, held=20)
     return spiral.discover(record, system, progress=silent, settings={"learned": True})
 
 
 @pytest.mark.slow
-def test_a_parameter_that_follows_a_variable_by_no_known_form_is_told_as_a_curve(bumpy):
-    last, shape = bumpy.rounds[-1].comparison, bumpy.rounds[-2].details["unknown"]
-    assert bumpy.missing == ("learned_change@h-q",)
+def test_a_parameter_that_follows_a_variable_by_no_known_form_is_told_as_a_curve(wavy):
+    last, shape = wavy.rounds[-1].comparison, wavy.rounds[-2].details["unknown"]
+    assert wavy.missing == ("learned_change@h-q",)
     assert shape["sentence"] == "A change of h that follows q: smooth."
-    assert last.test_error < 1.1 * last.noise_floor < 0.3 * bumpy.rounds[0].comparison.test_error
+    assert last.test_error < 1.1 * last.noise_floor < 0.3 * wavy.rounds[0].comparison.test_error
 
 
 @pytest.mark.slow
-def test_the_curve_of_a_parameter_is_its_value_over_its_mean(bumpy):
-    (curve,) = bumpy.rounds[-2].details["unknown"]["curves"]
+def test_the_curve_of_a_parameter_is_its_value_over_its_mean(wavy):
+    (curve,) = wavy.rounds[-2].details["unknown"]["curves"]
     at, told, band, weight = (np.array(curve[k]) for k in ("at", "force", "band", "visited"))
-    true = bump(at) / (weight @ bump(at)) - 1
+    true = waves(at) / (weight @ waves(at)) - 1
     assert np.max(np.abs(told - true)) < 0.03
     assert 0.003 < np.median(band) < 0.03
 

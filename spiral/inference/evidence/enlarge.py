@@ -71,7 +71,8 @@ def _find_variant(assembly: Assembly, label: str) -> Variant:
     name, tag = split_variant(label)
     problem = assembly.problem
     laws = laws_of(problem.model.system)
-    effects = (*assembly.later, *problem.dictionary, *problem.changes(), *laws)
+    offered = (v.original for v in assembly.offered)
+    effects = (*assembly.later, *offered, *problem.dictionary, *problem.changes(), *laws)
     return make_variant(next(e for e in effects if e.label == name), tag, {})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from spiral.types.parameter import Parameter
 from spiral.types.record import Array
 
 _RESONANT, _RELAXING = 1.1, 1.5  # ratio of neighbouring frequencies
+_COUNTS = 256  # numbers of repetitions that are tried at most
 _LOWEST, _HIGHEST = 4.0, 0.1  # band: periods in the record; share of the sample rate
 
 
@@ -64,6 +66,25 @@ def other_shapes(effect: Effect) -> tuple[dict[str, float], list[dict[str, float
     usual = {p.name: _grid_values(p)[len(_grid_values(p)) // 2] for p in shapes}
     grids = itertools.product(*(_grid_values(p) for p in shapes))
     return usual, [dict(zip(usual, values, strict=True)) for values in grids]
+
+
+def trial_counts(positions: Sequence[Array], beyond: float) -> tuple[Array, float]:
+    """How often an effect may repeat for one unit of a position along records, and their distance.
+
+    Two such waves, over a range of R, differ from one another where their numbers do by pi / R;
+    where a record goes round more than once they are whole numbers. From ``beyond`` on, or from
+    one wave over R, as far as half of the steps from sample to sample see a quarter of a wave, and
+    ``_COUNTS`` numbers at most.
+    """
+    reach = max(float(np.ptp(q)) for q in positions)
+    moves = np.abs(np.concatenate([np.diff(q) for q in positions]))
+    moves = moves[moves > 0]
+    if not len(moves) or not np.isfinite(reach):
+        return np.zeros(0), 0.0
+    step = 1.0 if reach > 4 * np.pi else np.pi / reach
+    first = max(np.floor(beyond) + step, 2 * np.pi / reach)
+    last = min(np.pi / (2 * float(np.median(moves))), first + (_COUNTS - 1) * step)
+    return np.arange(first, last, step), step
 
 
 def local_maxima(share: Array) -> list[int]:

@@ -65,7 +65,7 @@ def rivals_from_given_values(
     They are compared with ``base``. None where its values are near those given; ``masks`` are the
     blocks that select.
     """
-    starts = _fits_at_given_values(assembly, base.state, masks, progress)
+    starts = fits_at_given_values(assembly, base.state, masks, progress)
     rivals = (r for start in starts for r in _rivals_from_fit(assembly, base, start, masks))
     return [_with_base_noise_terms(base, r, masks) for r in rivals]
 
@@ -173,7 +173,7 @@ def _with_base_noise_terms(base: LikelihoodFit, rival: Rival, masks: Masks) -> R
     return again if fit.estimate.finite and again.worth > rival.worth else rival
 
 
-def _fits_at_given_values(
+def fits_at_given_values(
     assembly: Assembly, state: FitState, masks: Masks, progress: Progress
 ) -> list[LikelihoodFit]:
     """Fits at the given values, with their most likely noise, and with sensor noise alone.

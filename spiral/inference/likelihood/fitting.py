@@ -408,6 +408,11 @@ def _miss_energies(parts: Sequence[Prediction]) -> Array:
     return np.sum([np.sum(p.misses**2, axis=0) for p in parts], axis=0)
 
 
+def net_log_likelihood(fit: LikelihoodFit) -> float:
+    """Log-likelihood less Schwarz's penalty of all that moves."""
+    return fit.log_likelihood - schwarz_penalty(len(fit.estimate.keys), fit.estimate.prepared)
+
+
 def schwarz_penalty(parameters: int, prepared: FilterInputs) -> float:
     """Schwarz's penalty of q parameters in log-likelihood: q / 2 log N, with N readings."""
     return 0.5 * parameters * float(np.log(reading_count(prepared)))

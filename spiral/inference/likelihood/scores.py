@@ -42,6 +42,7 @@ from spiral.inference.evidence.spectrum import (
     frequency_shapes,
     local_maxima,
     other_shapes,
+    trial_counts,
     trial_frequencies,
 )
 from spiral.inference.likelihood.fitting import LikelihoodFit, free_parameters
@@ -50,7 +51,13 @@ from spiral.inference.likelihood.predicted_motion import (
     predicted_motion,
     varied_keys,
 )
-from spiral.physics.signatures import Own, SystemMotion, amplitude_names, signatures
+from spiral.physics.signatures import (
+    Own,
+    SystemMotion,
+    amplitude_names,
+    port_motion_along,
+    signatures,
+)
 from spiral.types.effect import Effect
 from spiral.types.label import parameter_of
 from spiral.types.record import Array
@@ -59,6 +66,8 @@ _ROOM = 4_000_000  # numbers of signatures that are in memory at a time
 _STRETCH = 8192  # samples over which a candidate's signature is evaluated at once
 _HUGE = 1e60  # a slope from which one is no number: own states that run away
 _PEAKS = 3  # of the spectrum, whose frequencies are tried
+_TOGETHER = 64  # trials that are regressed at once: the work grows with the square of their number
+_BETWEEN = np.linspace(-0.8, 0.8, 9)  # steps around a number of repetitions
 _FINE = (np.linspace(-0.8, 0.8, 5), np.linspace(-0.3, 0.3, 5))  # steps around a peak
 
 
@@ -90,7 +99,7 @@ def rank_candidates(
         variants = [v for v in assembly.offered if v.original.label not in present]
         for effect in (e for e in assembly.later if e.label not in present):
             variants += resonance_variants(filtered, effect)
-        return variants
+        return variants + repeating_variants(filtered, variants)
 
     return rank_variants(assembly, fit, noise, masks, absent_variants, past=past)
 
@@ -147,7 +156,7 @@ def _regress_variants(
     return _reduce_innovations(filtered, carried, block), groups
 
 
-# --- effects with states of their own ------------------------------------------------------------
+# --- effects with states of their own, and those that repeat -------------------------------------
 
 
 def resonance_variants(filtered: FilteredRecords, effect: Effect) -> list[Variant]:
@@ -172,6 +181,28 @@ def resonance_variants(filtered: FilteredRecords, effect: Effect) -> list[Varian
     return [make_variant(effect, str(i + 1), c, searched) for i, c in enumerate(chosen)]
 
 
+def repeating_variants(filtered: FilteredRecords, known: Sequence[Variant]) -> list[Variant]:
+    """Variants, beyond the grids of those ``known``, of effects that repeat with an angle.
+
+    How often they do is looked for over all that the records show, as a frequency is.
+    """
+    variants = []
+    for effect in dict.fromkeys(v.original for v in known):
+        for shape in (p for p in effect.parameters if p.repeats):
+            along = [port_motion_along(m, effect)[0][:, 0] for m in filtered.motions]
+            counts, step = trial_counts(along, max(shape.grid))
+            if not len(counts):
+                continue
+            share = _explained_shares(filtered, effect, [{shape.name: n} for n in counts])
+            top = [counts[k] for k in local_maxima(share)[:_PEAKS]]
+            near = [[{shape.name: n + s * step} for s in _BETWEEN] for n in top]
+            flat = iter(_explained_shares(filtered, effect, [t for some in near for t in some]))
+            best = [max(((next(flat), t) for t in some), key=lambda x: x[0])[1] for some in near]
+            searched = max(len(counts) // len(best), 1)
+            variants += [make_variant(effect, f"n{i}", t, searched) for i, t in enumerate(best)]
+    return variants
+
+
 def _best_trial_per_peak(
     filtered: FilteredRecords,
     effect: Effect,
@@ -188,10 +219,11 @@ def _explained_shares(
 ) -> Array:
     """Share of what is left that each trial (shapes by name) explains."""
     offered = [make_variant(effect, str(i + 1), dict(t)) for i, t in enumerate(trials)]
-    reduction, groups = _regress_variants(filtered, offered, robust=False)
-    table = build_score_table(reduction, len(filtered.active))
     shares = dict.fromkeys((v.label for v in offered), 0.0)
-    shares |= {g.variant.label: s.explains for g, s in score_groups(table, groups)}
+    for some in (offered[i : i + _TOGETHER] for i in range(0, len(offered), _TOGETHER)):
+        reduction, groups = _regress_variants(filtered, some, robust=False)
+        table = build_score_table(reduction, len(filtered.active))
+        shares |= {g.variant.label: s.explains for g, s in score_groups(table, groups)}
     return np.array(list(shares.values()))
 
 

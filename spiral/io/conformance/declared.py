@@ -33,7 +33,9 @@ def _declared(system: System) -> Iterator[str]:
     begun = [_valued(s.name, s.start) for s in system.states if s.start]
     if begun:
         yield "begins near: " + ", ".join(begun)
-    named = [a.name for a in system.auxiliaries]
+    if own := system.arguments:
+        yield "may follow what they multiply: " + ", ".join(f"{p} * ({w})" for p, w in own.values())
+    named = [a.name for a in system.auxiliaries if a.name not in own]
     if named:
         yield "named by let, and parameters may follow it: " + ", ".join(named)
     for given in system.inputs:

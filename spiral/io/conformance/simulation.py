@@ -43,7 +43,7 @@ def check_simulation(system: System) -> str:
             continue
         if np.isfinite(states).all():
             held = f", each input held at {level:.0e}" if level < 1 else ""
-            return f"{_SAMPLES} samples, which are {duration(time[-1])} of the machine's time{held}"
+            return f"{_SAMPLES} samples simulated, one every {duration(time[1])}{held}"
     sizes = f", with inputs of 1 and of all sizes down to {_LEVELS[-1]:.0e}" if names else ""
     raise PluginError(
         f"a simulation of {times[0][-1]:.3g} s that grows without bound{sizes}",

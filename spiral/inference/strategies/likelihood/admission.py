@@ -10,14 +10,20 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from spiral.engine.likelihood.predict import Masks
 from spiral.inference.evidence.assembly import Assembly, build_variants
-from spiral.inference.evidence.scoring import Parts, Ranking, active_labels
+from spiral.inference.evidence.scoring import (
+    Parts,
+    RankedCandidate,
+    Ranking,
+    active_labels,
+)
 from spiral.inference.likelihood.alias_groups import (
     indistinguishable_rivals,
     simplest_rival,
@@ -47,7 +53,7 @@ from spiral.inference.strategies.likelihood.whole_fit import (
     fit_with_rival,
 )
 from spiral.inference.strategy_options import LikelihoodOptions
-from spiral.types.effect import Effect, is_other_value
+from spiral.types.effect import Effect, ParameterEffect, is_other_value
 from spiral.types.run import Comparison
 
 
@@ -70,7 +76,26 @@ def race_offered(
     ranked = rank_variants(assembly, base, base.estimate.noise, select, lambda _: new, parts)
     if ranked is None:
         return None
-    return start_race(assembly, base, list(ranked.ranked), select, progress, most), ranked
+    runners = _by_turns_of_places(ranked.ranked)
+    return start_race(assembly, base, runners, select, progress, most), ranked
+
+
+def _by_turns_of_places(ranked: Sequence[RankedCandidate]) -> list[RankedCandidate]:
+    """Candidates by their score, changes of parameters by turns: the best of each place first.
+
+    To first order all forms of a change are one, and those of the best place would take the room
+    of all others. Of the one that leads at the end every form is raced (``with_every_form``).
+    """
+    seen, turns = Counter[str](), []
+    for each in ranked:
+        effect = each.variant.original
+        if not isinstance(effect, ParameterEffect):
+            turns.append(0)
+            continue
+        turns.append(seen[effect.port])
+        seen[effect.port] += 1
+    order = sorted(range(len(ranked)), key=lambda k: turns[k])
+    return [ranked[k] for k in order]
 
 
 def first_to_pass(

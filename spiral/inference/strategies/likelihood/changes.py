@@ -11,12 +11,16 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field, replace
 
-from spiral.inference.evidence.assembly import Assembly
+from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import Masks
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking
 from spiral.inference.likelihood.candidates import Race
 from spiral.inference.likelihood.fitting import LikelihoodFit
-from spiral.inference.likelihood.scores import rank_variants
+from spiral.inference.likelihood.scores import (
+    FilteredRecords,
+    rank_variants,
+    repeating_variants,
+)
 from spiral.inference.likelihood.tolerances import Tolerances
 from spiral.inference.problem import Progress
 from spiral.inference.strategies.likelihood.admission import offer_effects, race_offered
@@ -101,7 +105,11 @@ def _rank_plain_changes(assembly: Assembly, base: LikelihoodFit, select: Masks) 
     changes = assembly.problem.changes()
     plain = tuple(e for e in changes if is_plain_change(e) or is_periodic_change(e))
     offered = offer_effects(assembly, plain)
-    return rank_variants(offered, base, base.estimate.noise, select, lambda _: offered.offered)
+
+    def variants(filtered: FilteredRecords) -> list[Variant]:
+        return [*offered.offered, *repeating_variants(filtered, offered.offered)]
+
+    return rank_variants(offered, base, base.estimate.noise, select, variants)
 
 
 def with_every_form(race: Race, ranked: Ranking) -> Race:

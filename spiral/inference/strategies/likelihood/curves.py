@@ -6,8 +6,8 @@ at Schwarz's penalty. Effects that were admitted may only have stood in for a cu
 are tried in their place as well, beside the seed alone.
 
 A model that lacks a curve may have come to values from which none makes much more likely (two
-stores that have changed places). So the leading curves are also fitted afresh: flat, from the
-values given, from the several starts that a seed has.
+stores that have changed places). So curves are also scored and raced beside the values given, and
+the leading ones fitted afresh: flat, from these values, from the several starts that a seed has.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import CandidateColumns, Ranking
+from spiral.inference.likelihood.alternative_fits import fits_at_given_values
 from spiral.inference.likelihood.candidates import Race, Rival, make_rival
 from spiral.inference.likelihood.fitting import (
     LEVEL,
@@ -32,6 +33,7 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     fit_by_likelihood,
     is_random_force_small,
+    net_log_likelihood,
     schwarz_penalty,
 )
 from spiral.inference.likelihood.seed_fit import best_fit, with_given_values
@@ -53,11 +55,13 @@ from spiral.inference.strategies.likelihood.admission import (
 from spiral.inference.strategies.likelihood.benefit import Refusal
 from spiral.inference.strategies.likelihood.changes import PromisingChanges
 from spiral.inference.strategies.likelihood.laws import (
+    NamedLaw,
     fit_without,
     of_all_samples,
     stand_in_labels,
     undetermined_among,
 )
+from spiral.inference.strategies.likelihood.named_curves import name_curve
 from spiral.inference.strategies.likelihood.whole_fit import compare_whole_record_fit
 from spiral.inference.strategy_options import LikelihoodOptions
 from spiral.inference.unknown.forcecurve import CurveFit, Unknown, describe_curve
@@ -76,13 +80,14 @@ class MissingCurve:
     """A curve that passed: its shape, the model with it, and effects in whose place it stands.
 
     ``undetermined`` are those of them whose values the record does not tell, where the curve
-    explains as much as they do, and not more.
+    explains as much as they do, and not more. ``law`` : a form with a name that is likelier.
     """
 
     shape: Unknown
     refitted: RefittedModel
     replaces: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
+    law: NamedLaw | None = None
 
 
 def find_missing_curve(
@@ -98,13 +103,16 @@ def find_missing_curve(
     """
     progress("trying curves over each state")
     helps = benefit_objection(options, comparison, assembly.problem.settings)
-    curves = (e for e in changes.beside(base) if e.bare)  # of parameters where they score best
+    quiet = is_random_force_small(base)
+    held = [] if quiet else fits_at_given_values(assembly, base.state, masks[0], progress)
+    best = (e for fit in (base, *held) for e in changes.beside(fit))  # at promising places
+    curves = tuple(dict.fromkeys(e for e in best if e.bare))
     assembly = offer_effects(assembly, (*assembly.problem.dictionary, *curves))
     search = _CurveSearch(options, assembly, masks, level, helps, progress)
     alone = _fit_seed_alone(assembly, base.state, masks[0])
     passing = instead = None if alone is None else search.in_place_of(base, alone)
-    if passing is None and not is_random_force_small(base):
-        starts = _restart_from_first_noise(assembly, base, masks[0])
+    if passing is None and not quiet:
+        starts = [*held, *_restart_from_first_noise(assembly, base, masks[0])]
         others = [p for p in (search.in_place_of(base, s) for s in starts) if p is not None]
         passing = max(others, key=lambda p: p[0].whole.fit.log_likelihood, default=None)
     if passing is None and alone is not None:
@@ -117,7 +125,16 @@ def find_missing_curve(
         return None
     gone = () if instead is None else _added_labels(assembly, base.state)
     replaces = tuple(assembly.variant(x).original.label for x in gone)
-    return replace(_missing_curve(passing, helps, progress), replaces=replaces)
+    curve = replace(_missing_curve(passing, helps, progress), replaces=replaces)
+    passed, (race, ranked) = passing
+    variant = passed.rival.ranked.variant
+    named = name_curve(passed.whole, variant, curve.shape, helps, options.odds, progress)
+    if named is None:
+        return curve
+    refitted = named.whole.refitted
+    refitted = replace(refitted, retired=(*refitted.retired, *replaces))
+    law = NamedLaw(named.effect, named.aliases, ranked, race.tried, refitted)
+    return replace(curve, law=law)
 
 
 def find_equal_curve(
@@ -283,20 +300,15 @@ def _restart_from_first_noise(
     ]
 
 
-def _net_log_likelihood(fit: LikelihoodFit) -> float:
-    """Log-likelihood less Schwarz's penalty of all that moves."""
-    return fit.log_likelihood - schwarz_penalty(len(fit.estimate.keys), fit.estimate.prepared)
-
-
 def _lead_of_model(base: LikelihoodFit, start: LikelihoodFit, odds: float) -> float:
     """What a curve must be worth beside ``start`` to be likelier than ``base`` by the odds."""
-    lead = _net_log_likelihood(base) - _net_log_likelihood(start) + float(np.log(odds))
+    lead = net_log_likelihood(base) - net_log_likelihood(start) + float(np.log(odds))
     return max(lead, 0.0)
 
 
 def _is_likelier_alone(passed: AcceptedCandidate, base: LikelihoodFit, odds: float) -> bool:
     """Whether a curve alone makes the blocks that select more likely than the model as it is."""
-    return _net_log_likelihood(passed.rival.fit) > _net_log_likelihood(base) + np.log(odds)
+    return net_log_likelihood(passed.rival.fit) > net_log_likelihood(base) + np.log(odds)
 
 
 def _added_labels(assembly: Assembly, state: FitState) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import Ranking
+from spiral.inference.likelihood.alternative_fits import fits_at_given_values
 from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.likelihood.excerpts import excerpt_study, whole_state, whole_study
 from spiral.inference.likelihood.fitting import (
@@ -36,6 +37,7 @@ from spiral.inference.likelihood.fitting import (
     LikelihoodFit,
     fit_by_likelihood,
     is_random_force_small,
+    net_log_likelihood,
     prepare_filter_tasks,
     schwarz_penalty,
     with_estimate,
@@ -174,7 +176,11 @@ def _law_starts(
     assembly: Assembly, state: FitState, base: LikelihoodFit, gone: tuple[str, ...],
     whole: bool, select: Masks, progress: Progress,
 ) -> Iterator[_LawStart]:  # fmt: skip
-    """The model without the effects that a law may replace, and, if asked, the ``whole`` of it."""
+    """The model without the effects that a law may replace, and, if asked, the ``whole`` of it.
+
+    Where a random force carries that one far from the values given, it is asked at these, too: a
+    law has to be worth more there than the model at its own values.
+    """
     before = fit_without(assembly, base, gone, select, progress) if gone else None
     if before is not None:
         numbers = len(base.estimate.keys) - len(before.estimate.keys)
@@ -184,6 +190,11 @@ def _law_starts(
         yield _LawStart(before, gone, log_likelihood, state, records, worth)
     if whole:
         yield _LawStart(base)
+    if whole and not is_random_force_small(base):
+        for held in fits_at_given_values(assembly, base.state, select, progress):
+            yield _LawStart(
+                held, worth=max(net_log_likelihood(base) - net_log_likelihood(held), 0.0)
+            )
 
 
 def fit_without(

@@ -41,6 +41,7 @@ from spiral.inference.strategies.likelihood.curves import (
     find_missing_curve,
 )
 from spiral.inference.strategies.likelihood.laws import (
+    NamedLaw,
     find_named_law,
     is_much_random,
 )
@@ -193,12 +194,7 @@ def _step_for_unexplained(
         options, assembly, searched.state, base, white, comparison, masks, level, changes, progress
     )
     if law is not None:
-        label, aliases = law.effect.label, law.aliases
-        return replace(
-            step, suggestions=suggestions(law.tried, law.ranking, label, aliases)[: options.listed],
-            admitted=(label,), aliases={label: aliases}, meaning=law.effect.meaning(),
-            stopped="no_candidate", result=ScoredRound(law.ranking, law.tried, law.refitted),
-        )  # fmt: skip
+        return _law_step(options, step, law)
     if not assembly.problem.dictionary:
         return step
     if white and not is_much_random(comparison):
@@ -209,7 +205,21 @@ def _step_for_unexplained(
         curve = find_missing_curve(
             options, assembly, base, comparison, masks, level, changes, progress
         )
+    if curve is not None and curve.law is not None:
+        return _law_step(options, step, curve.law)
     return step if curve is None else _with_missing_curve(step, curve, assembly.problem.settings)
+
+
+def _law_step(
+    options: LikelihoodOptions, step: Step[ScoredRound], law: NamedLaw
+) -> Step[ScoredRound]:
+    """The step that admits a law."""
+    label, aliases = law.effect.label, law.aliases
+    return replace(
+        step, suggestions=suggestions(law.tried, law.ranking, label, aliases)[: options.listed],
+        admitted=(label,), aliases={label: aliases}, meaning=law.effect.meaning(),
+        stopped="no_candidate", result=ScoredRound(law.ranking, law.tried, law.refitted),
+    )  # fmt: skip
 
 
 def _ending(comparison: Comparison, assembly: Assembly) -> StopReason:
