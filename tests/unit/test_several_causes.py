@@ -3,8 +3,9 @@
 from spiral_plugins.effects.varying import InverseChange, LinearChange, OtherValue
 
 import spiral
-from spiral.inference.likelihood.departures import several_causes_sentences
+from spiral.inference.likelihood.stand_ins import one_law_sentences, several_causes_sentences
 from spiral.types.model import seed_model
+from tests.scenes import registry
 
 SYSTEM = spiral.system(
     ["m*x'' + c*x' + k*x = F", "C*T' = P - h*T"],
@@ -33,3 +34,19 @@ def test_what_the_model_had_from_the_start_is_not_doubted():
     found = (*WARM, LinearChange(port="h-F"))
     assert len(sentences(*found)) == 1
     assert sentences(*found, given=("linear_change@h-F",)) == ()
+
+
+def test_three_laws_of_one_variable_at_one_place_are_parts_of_one():
+    """Springs at x; not a spring, a friction and a damper, nor a load beside two springs."""
+    made = registry().make
+
+    def told(*names, given=()):
+        effects = tuple(made("effect", n) for n in names)
+        return one_law_sentences(seed_model(SYSTEM, effects), given)
+
+    springs = ("quadratic_stiffness", "cubic_stiffness", "clearance")
+    (said,) = told(*springs)
+    assert said.startswith("quadratic_stiffness, cubic_stiffness and clearance are laws of one")
+    assert told(*springs, given=("cubic_stiffness",)) == ()
+    assert told("cubic_stiffness", "coulomb_friction", "quadratic_damping") == ()
+    assert told("cubic_stiffness", "clearance", "constant_load") == ()

@@ -39,7 +39,6 @@ from spiral.inference.likelihood.departures import (
     describe_departures,
     far_value_sentences,
     reversed_sign_sentences,
-    several_causes_sentences,
 )
 from spiral.inference.likelihood.exogenous import followed_force_sentences
 from spiral.inference.likelihood.fitting import (
@@ -63,6 +62,7 @@ from spiral.inference.likelihood.free_run_starts import (
 from spiral.inference.likelihood.independence import motion_explained_share
 from spiral.inference.likelihood.initial_states import set_likely_initial_state
 from spiral.inference.likelihood.reported_noise import ReportedNoise
+from spiral.inference.likelihood.stand_ins import one_law_sentences, several_causes_sentences
 from spiral.inference.likelihood.timescales import time_scale_sentences
 from spiral.inference.problem import Problem, Progress
 from spiral.types.horizon import Horizon
@@ -179,6 +179,7 @@ def _note_fields(
             *time_scale_sentences(fit.estimate.prepared[0][0], given),
             *reversed_sign_sentences(model, given),
             *several_causes_sentences(model, problem.model.labels),
+            *one_law_sentences(model, problem.model.labels),
             *(far_value_sentences(free.estimate, given) if free is not fit else ()),
             *free_run_sentences(fit, free),
             *told,

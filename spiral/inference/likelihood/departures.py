@@ -28,9 +28,7 @@ from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.score import residual_block_samples
 from spiral.engine.series import sample_inputs
 from spiral.inference.disturbances import what_acts
-from spiral.inference.effect_words import followed_words
 from spiral.physics.passivity import implausible_signs
-from spiral.types.effect import ParameterEffect
 from spiral.types.formatting import duration, number, percent, plus_minus
 from spiral.types.invalid import reading_step
 from spiral.types.label import without_variant
@@ -49,7 +47,6 @@ _ZERO = 2.0  # standard errors within which a value is not told from zero
 _TAILS = np.array([2.1, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0])  # degrees of freedom
 _HALF = 0.5  # share of what is missed from which a converter's steps are told
 _FEWEST = 64  # samples
-_CAUSES = 2  # different variables that parameters follow, from which no one cause changes them
 _LINE = 0.1  # share of the power of what is missed that a line holds: what counts of an effect
 _STANDS_OUT, _AROUND = 30.0, 20  # a line over the median of so many frequencies on either side
 _UNDRIVEN = 0.05  # share of an input's power at a line, under which the line is not the input's
@@ -118,28 +115,6 @@ def reversed_sign_sentences(model: Model, given: Mapping[str, float]) -> tuple[s
         f"was given: {said}"
         for key, said in implausible_signs(model).items()
         if given.get(key, 0.0) * model.values[key] < 0
-    )
-
-
-def several_causes_sentences(model: Model, given: Iterable[str]) -> tuple[str, ...]:
-    """A sentence where found changes of parameters follow different variables, else none.
-
-    One cause changes what it changes by itself (warmth a stiffness and a damping). Changes that
-    follow one thing here and another there fit what is missing, and are not what it is. ``given`` :
-    labels of effects that were in the model from the start.
-    """
-    ports = [
-        model.system.place(e)
-        for e in model.effects
-        if isinstance(e, ParameterEffect) and not e.steady and e.label not in given
-    ]
-    if len({port.against for port in ports}) < _CAUSES:
-        return ()
-    follows = (f"{p.axes[0]} follows {followed_words(model.system, p)}" for p in ports)
-    told = " and ".join(dict.fromkeys(follows))
-    return (
-        f"{told}: one cause would be one variable, and together they may stand in for a law that "
-        "no candidate is",
     )
 
 
