@@ -3,13 +3,11 @@
     x' = A(p, u) x + r(x_S, u, p)
 
 A holds no state, r depends on few states S: a structure with springs, gaps and friction at some of
-its places. The form of the expressions decides, as in ``linearity``: sums, and products of which
-one factor holds states.
+its places. The form of the expressions decides (``linearity.LinearTerms``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +22,7 @@ from spiral.physics.compile import (
     engine_of,
     write_function,
 )
+from spiral.physics.linearity import LinearTerms, names_of
 from spiral.physics.trace import TracedModel
 from spiral.types.cache import kept
 from spiral.types.record import Array
@@ -86,45 +85,19 @@ class _Split:
     """Entries of A, r, the states of r, and the names that A depends on."""
 
     def __init__(self, traced: TracedModel) -> None:
-        self.place = {s: i for i, s in enumerate(traced.x)}
-        self._free: dict[sp.Basic, bool] = {}
+        linear, place = LinearTerms(traced), {s: i for i, s in enumerate(traced.x)}
         parts: dict[tuple[int, int], list[sp.Expr]] = {}
         left: list[list[sp.Expr]] = [[] for _ in traced.rate]
         for i, rate in enumerate(traced.rate):
-            for state, weight in self._terms(rate, sp.Integer(1)):
+            for state, factors in linear.of(rate):
+                product = sp.Mul(*factors)
                 if state is None:
-                    left[i].append(weight)
+                    left[i].append(product)
                 else:
-                    parts.setdefault((i, self.place[state]), []).append(weight)
+                    parts.setdefault((i, place[state]), []).append(product)
         self.matrix = {at: sp.Add(*weights) for at, weights in parts.items()}
         self.rest = [sp.Add(*terms) for terms in left]
         free = set().union(*(r.free_symbols for r in self.rest))
-        self.moving = {i for s, i in self.place.items() if s in free}
+        self.moving = {i for s, i in place.items() if s in free}
         used = set().union(*(w.free_symbols for w in self.matrix.values()))
-        known = dict(zip(traced.p, traced.keys, strict=True))
-        known |= dict(zip(traced.u, traced.inputs, strict=True))
-        self.names = frozenset(name for symbol, name in known.items() if symbol in used)
-
-    def _terms(self, term: Any, weight: Any) -> Iterator[tuple[Any, Any]]:
-        """A state and its weight for each linear term; nothing, and the term, for what is left."""
-        if term in self.place:
-            yield term, weight
-        elif not self._holds_states(term):
-            yield None, weight * term
-        elif isinstance(term, sp.Add):
-            for part in term.args:
-                yield from self._terms(part, weight)
-        else:
-            inner = [a for a in term.args if self._holds_states(a)]
-            if isinstance(term, sp.Mul) and len(inner) == 1:
-                others = [a for a in term.args if a is not inner[0]]
-                yield from self._terms(inner[0], weight * sp.Mul(*others))
-            else:
-                yield None, weight * term
-
-    def _holds_states(self, term: Any) -> bool:
-        """Whether a term contains a state; asked once for each."""
-        if (known := self._free.get(term)) is None:
-            known = term in self.place or any(map(self._holds_states, term.args))
-            self._free[term] = known
-        return known
+        self.names = names_of(traced, used)
