@@ -4,6 +4,7 @@ from spiral_plugins.effects.varying import InverseChange, LinearChange, OtherVal
 
 import spiral
 from spiral.inference.likelihood.stand_ins import one_law_sentences, several_causes_sentences
+from spiral.physics.formulas.laws import laws_of
 from spiral.types.model import seed_model
 from tests.scenes import registry
 
@@ -50,3 +51,13 @@ def test_three_laws_of_one_variable_at_one_place_are_parts_of_one():
     assert told(*springs, given=("cubic_stiffness",)) == ()
     assert told("cubic_stiffness", "coulomb_friction", "quadratic_damping") == ()
     assert told("cubic_stiffness", "clearance", "constant_load") == ()
+
+
+def test_laws_with_a_closed_form_count_as_effects_of_the_catalog_do():
+    laws = {e.label: e for e in laws_of(SYSTEM)}
+    spring = registry().make("effect", "cubic_stiffness")
+    found = (spring, laws["sine_law"], laws["power_law"])
+    (said,) = one_law_sentences(seed_model(SYSTEM, found), ())
+    assert "sine_law" in said
+    friction = (spring, laws["sine_law"], laws["tanh_friction_law"])
+    assert one_law_sentences(seed_model(SYSTEM, friction), ()) == ()

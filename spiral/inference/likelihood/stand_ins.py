@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from spiral.inference.effect_words import followed_words
-from spiral.types.effect import ForceEffect, ParameterEffect, StateFlow
+from spiral.types.effect import FlowEffect, ForceEffect, ParameterEffect, StateFlow
 from spiral.types.formatting import join_words
 from spiral.types.model import Model
 
@@ -43,15 +43,16 @@ def one_law_sentences(model: Model, given: Iterable[str]) -> tuple[str, ...]:
     terms of a series do. Constants are laws of nothing, and effects that were ``given`` no finds.
     """
     known = {*given}
-    groups: dict[tuple[str, str], list[str]] = {}
+    groups: dict[tuple[str, ...], list[str]] = {}
     for effect in model.effects:
         constant = all(p.unit == "force" for p in effect.parameters)
         if effect.label in known or effect.states or constant:
             continue
-        if isinstance(effect, ForceEffect | StateFlow):
+        if isinstance(effect, ForceEffect | FlowEffect | StateFlow):
             port = model.system.place(effect)
+            place = (*port.axes, port.against, _variable(effect))
             if len(port.axes) == 1:
-                groups.setdefault((port.name, _variable(effect)), []).append(effect.label)
+                groups.setdefault(place, []).append(effect.label)
     return tuple(
         f"{join_words(labels)} are laws of one variable at one place: together they may stand in "
         "for a law that no candidate is"
@@ -60,9 +61,9 @@ def one_law_sentences(model: Model, given: Iterable[str]) -> tuple[str, ...]:
     )
 
 
-def _variable(effect: ForceEffect | StateFlow) -> str:
+def _variable(effect: ForceEffect | FlowEffect | StateFlow) -> str:
     """What a force or a flow at a place is a law of; of a force the units of its values tell."""
-    if isinstance(effect, StateFlow):
-        return effect.driver or ("velocity" if effect.rated else "position")
+    if isinstance(effect, StateFlow) and (effect.driver or effect.rated):
+        return effect.driver or "velocity"
     fast = any("velocity" in p.unit for p in effect.parameters)
     return "velocity" if fast else "position"
