@@ -342,7 +342,7 @@ def test_a_conductance_that_grows_with_a_power_of_the_flow_is_named():
 
 def waves(flow):
     """A conductance that is of none of the forms: nearly two waves over the flow."""
-    return 33.0 * (1 + 0.5 * np.sin(2 * np.pi * flow / 0.8))
+    return 33.0 * (1 + 0.4 * np.sin(2 * np.pi * flow / 0.7))
 
 
 @pytest.fixture(scope="module")
