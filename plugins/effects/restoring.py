@@ -13,6 +13,17 @@ A corner that is rounded over more than half of the motion, w above a quarter of
 """
 
 
+COUNT = Parameter(
+    "count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25))), repeats=True
+)
+"""How often a wave over an angle repeats in a turn, N."""
+
+
+def wave(angle, p):
+    """a cos(N q) + b sin(N q)."""
+    return p.cosine * cos(p.count * angle) + p.sine * sin(p.count * angle)
+
+
 def excess_over_gap(value, gap, width):
     """What of a value lies beyond +-gap, with its sign; corners are rounded over +-w."""
     return ramp(value - gap, width) - ramp(-value - gap, width)
@@ -170,15 +181,12 @@ class Cogging(ForceEffect):
     parameters = (
         Parameter("cosine", "force"),
         Parameter("sine", "force"),
-        Parameter(
-            "count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25))), repeats=True
-        ),
+        COUNT,
     )
 
     def force(self, at, u, p):
         """a cos(N q) + b sin(N q)."""
-        angle = p.count * at.position[0]
-        return [p.cosine * cos(angle) + p.sine * sin(angle)]
+        return [wave(at.position[0], p)]
 
 
 class CrossStiffness(ForceEffect):

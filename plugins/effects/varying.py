@@ -12,7 +12,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from spiral.math import cos, exp, length, log, positive, sin, tanh
+from spiral_plugins.effects.restoring import COUNT, wave
+
+from spiral.math import exp, length, log, positive, tanh
 from spiral.types.effect import ParameterEffect
 from spiral.types.parameter import Parameter
 
@@ -70,15 +72,12 @@ class PeriodicChange(ParameterEffect):
     parameters = (
         Parameter("cosine", ""),
         Parameter("sine", ""),
-        Parameter(
-            "count", "", lower=0.0, role="shape", grid=tuple(map(float, range(1, 25))), repeats=True
-        ),
+        COUNT,
     )
 
     def factor(self, at, u, p):
         """1 + a cos(N v) + b sin(N v)."""
-        angle = p.count * at.position[0]
-        return 1 + p.cosine * cos(angle) + p.sine * sin(angle)
+        return 1 + wave(at.position[0], p)
 
 
 class QuadraticChange(ParameterEffect):

@@ -103,12 +103,15 @@ def _check_model(
     Records that they name are read, and what was understood of them is told.
     """
     from spiral.io.config import build_sources
+    from spiral.io.programs import programs_named
+    from spiral.io.system_files import is_python_file
     from spiral.io.testing import check_records, check_system
 
     system, config = _chosen_system(overrides, registry)
     chosen = config["system"]
     entry = registry.entry("system", chosen["name"])
-    file = str(chosen.get("path") or _program_in(overrides))
+    program = next(filter(is_python_file, programs_named(overrides)), "")
+    file = str(chosen.get("path") or program)
     tell(f"checking {file or chosen['name']}")
     named = replace(entry, name=file, file=file) if file else entry
     checks = check_system(system)
@@ -118,14 +121,6 @@ def _check_model(
         sources = zip(("record", "test"), build_sources(config, registry), strict=True)
         checks += [check_records(k, source, system) for k, source in sources if source is not None]
     return named, checks
-
-
-def _program_in(overrides: Sequence[str]) -> str:
-    """The file of Python that overrides choose as the system, if they do."""
-    from spiral.io.system_files import is_python_file
-
-    chosen = (text.removeprefix("system=") for text in overrides if text.startswith("system="))
-    return next(filter(is_python_file, chosen), "")
 
 
 def _first_failure(checked: Sequence[tuple[Entry, list[Check]]]) -> dict[str, str]:

@@ -72,7 +72,7 @@ def trial_counts(positions: Sequence[Array], beyond: float) -> tuple[Array, floa
     """How often an effect may repeat for one unit of a position along records, and their distance.
 
     Two such waves, over a range of R, differ from one another where their numbers do by pi / R;
-    where a record goes round more than once they are whole numbers. From ``beyond`` on, or from
+    where a record goes round more than twice they are whole numbers. From ``beyond`` on, or from
     one wave over R, as far as half of the steps from sample to sample see a quarter of a wave, and
     ``_COUNTS`` numbers at most.
     """

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -86,16 +86,10 @@ def _by_turns_of_places(ranked: Sequence[RankedCandidate]) -> list[RankedCandida
     To first order all forms of a change are one, and those of the best place would take the room
     of all others. Of the one that leads at the end every form is raced (``with_every_form``).
     """
-    seen, turns = Counter[str](), []
-    for each in ranked:
-        effect = each.variant.original
-        if not isinstance(effect, ParameterEffect):
-            turns.append(0)
-            continue
-        turns.append(seen[effect.port])
-        seen[effect.port] += 1
-    order = sorted(range(len(ranked)), key=lambda k: turns[k])
-    return [ranked[k] for k in order]
+    places = defaultdict[str, Iterator[int]](itertools.count)
+    effects = (r.variant.original for r in ranked)
+    turns = [next(places[e.port]) if isinstance(e, ParameterEffect) else 0 for e in effects]
+    return [r for _, r in sorted(zip(turns, ranked, strict=True), key=lambda pair: pair[0])]
 
 
 def first_to_pass(

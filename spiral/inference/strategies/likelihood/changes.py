@@ -14,8 +14,9 @@ from dataclasses import dataclass, field, replace
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import Masks
 from spiral.inference.evidence.scoring import RankedCandidate, Ranking
+from spiral.inference.likelihood.alternative_fits import fits_at_given_values
 from spiral.inference.likelihood.candidates import Race
-from spiral.inference.likelihood.fitting import LikelihoodFit
+from spiral.inference.likelihood.fitting import LikelihoodFit, is_random_force_small
 from spiral.inference.likelihood.scores import (
     FilteredRecords,
     rank_variants,
@@ -44,6 +45,7 @@ class PromisingChanges:
     known: list[tuple[LikelihoodFit, Ranking | None, tuple[Effect, ...]]] = field(
         default_factory=list
     )
+    held: list[tuple[LikelihoodFit, list[LikelihoodFit]]] = field(default_factory=list)
 
     def beside(self, base: LikelihoodFit) -> tuple[Effect, ...]:
         """Changes of every form at the places that score best beside a model.
@@ -51,6 +53,17 @@ class PromisingChanges:
         A curve (``bare``) is one of the forms, and no plain one.
         """
         return self._score_beside(base)[1]
+
+    def at_given_values(self, base: LikelihoodFit, progress: Progress) -> list[LikelihoodFit]:
+        """Fits at the values given, from which a random force has carried those of a model."""
+        if is_random_force_small(base):
+            return []
+        for fit, held in self.held:
+            if fit is base:
+                return held
+        held = fits_at_given_values(self.assembly, base.state, self.select, progress)
+        self.held.append((base, held))
+        return held
 
     def _score_beside(self, base: LikelihoodFit) -> tuple[Ranking | None, tuple[Effect, ...]]:
         for fit, ranked, changes in self.known:

@@ -25,7 +25,6 @@ from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
 from spiral.inference.evidence.fit_state import FitState, Masks
 from spiral.inference.evidence.scoring import CandidateColumns, Ranking
-from spiral.inference.likelihood.alternative_fits import fits_at_given_values
 from spiral.inference.likelihood.candidates import Race, Rival, make_rival
 from spiral.inference.likelihood.fitting import (
     LEVEL,
@@ -103,15 +102,14 @@ def find_missing_curve(
     """
     progress("trying curves over each state")
     helps = benefit_objection(options, comparison, assembly.problem.settings)
-    quiet = is_random_force_small(base)
-    held = [] if quiet else fits_at_given_values(assembly, base.state, masks[0], progress)
+    held = changes.at_given_values(base, progress)
     best = (e for fit in (base, *held) for e in changes.beside(fit))  # at promising places
     curves = tuple(dict.fromkeys(e for e in best if e.bare))
     assembly = offer_effects(assembly, (*assembly.problem.dictionary, *curves))
     search = _CurveSearch(options, assembly, masks, level, helps, progress)
     alone = _fit_seed_alone(assembly, base.state, masks[0])
     passing = instead = None if alone is None else search.in_place_of(base, alone)
-    if passing is None and not quiet:
+    if passing is None and not is_random_force_small(base):
         starts = [*held, *_restart_from_first_noise(assembly, base, masks[0])]
         others = [p for p in (search.in_place_of(base, s) for s in starts) if p is not None]
         passing = max(others, key=lambda p: p[0].whole.fit.log_likelihood, default=None)

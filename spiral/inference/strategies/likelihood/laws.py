@@ -28,7 +28,6 @@ from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly
 from spiral.inference.evidence.fit_state import FitState, Masks, half_masks
 from spiral.inference.evidence.scoring import Ranking
-from spiral.inference.likelihood.alternative_fits import fits_at_given_values
 from spiral.inference.likelihood.candidates import Rival
 from spiral.inference.likelihood.excerpts import excerpt_study, whole_state, whole_study
 from spiral.inference.likelihood.fitting import (
@@ -125,7 +124,7 @@ def find_named_law(
         return None
     laws = laws_of(assembly.problem.model.system)
     whole = moved or not white or not gone
-    for start in _law_starts(assembly, state, base, gone, whole, masks[0], progress):
+    for start in _law_starts(assembly, state, base, gone, whole, masks[0], changes, progress):
         progress("trying laws with a closed form")
         forms = (e for e in changes.beside(start.base) if not e.bare)
         offered = offer_effects(assembly, (*laws, *forms))
@@ -174,7 +173,7 @@ def _has_coupling_force(assembly: Assembly, labels: tuple[str, ...]) -> bool:
 
 def _law_starts(
     assembly: Assembly, state: FitState, base: LikelihoodFit, gone: tuple[str, ...],
-    whole: bool, select: Masks, progress: Progress,
+    whole: bool, select: Masks, changes: PromisingChanges, progress: Progress,
 ) -> Iterator[_LawStart]:  # fmt: skip
     """The model without the effects that a law may replace, and, if asked, the ``whole`` of it.
 
@@ -190,11 +189,9 @@ def _law_starts(
         yield _LawStart(before, gone, log_likelihood, state, records, worth)
     if whole:
         yield _LawStart(base)
-    if whole and not is_random_force_small(base):
-        for held in fits_at_given_values(assembly, base.state, select, progress):
-            yield _LawStart(
-                held, worth=max(net_log_likelihood(base) - net_log_likelihood(held), 0.0)
-            )
+    for held in changes.at_given_values(base, progress) if whole else ():
+        lead = net_log_likelihood(base) - net_log_likelihood(held)
+        yield _LawStart(held, worth=max(lead, 0.0))
 
 
 def fit_without(
