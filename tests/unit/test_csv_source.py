@@ -132,6 +132,24 @@ def test_a_column_is_found_with_its_unit_and_without(tmp_path, time, header):
     assert load(path=path, time=time, channels={"x": "a [m]"})[0].samples == COUNT
 
 
+@pytest.mark.parametrize(
+    ("column", "size"),
+    [("a_mm", 1e-3), ("a-um", 1e-6), ("a_m", 1.0), ("a_in", 1.0), ("a_ch1", 1.0), ("a_kPa", 1.0)],
+)
+def test_a_unit_after_a_columns_name_counts_where_it_is_one_of_the_series(tmp_path, column, size):
+    """``in`` is a word sooner than inches; pascals are no lengths."""
+    table = columns()
+    named = {"time_ms": table["t"], column: table["a"], "f_mN": table["f"]}
+    path = write(tmp_path / "a.csv", named)
+    fields = {"path": path, "time": "time_ms", "channels": {"x": column}}
+    record = csv(**fields, inputs={"force": "f_mN"}).load(OSCILLATOR)[0]
+    np.testing.assert_allclose(record.channels["x"], size * table["a"])
+    np.testing.assert_allclose(record.inputs["force"], 1e-3 * table["f"])
+    assert math.isclose(record.dt, 1e-5, rel_tol=1e-9)
+    said = csv(**fields, inputs={"force": "f_mN"}, units={"force": "kN", "time": "s"})
+    np.testing.assert_allclose(said.load(OSCILLATOR)[0].inputs["force"], 1e3 * table["f"])
+
+
 def test_an_index_is_no_unit(tmp_path):
     with pytest.raises(InputError, match="column"):
         load(path=write(tmp_path / "a.csv", columns()), channels={"x": "a[1]"})

@@ -39,11 +39,10 @@ def inseparable_part(triangle: Array, active: int, group: tuple[int, ...]) -> In
     active : number of active columns. group : columns of the candidate, counted from there.
     """
     at = active + np.array(group, dtype=np.int64)
-    norms = np.linalg.norm(triangle, axis=0)
-    if not len(at) or np.all(norms[at] == 0):
+    own = _unit_columns(triangle[:, at])
+    if not np.any(own):
         return InseparableDirections()
-    unit = triangle / np.where(norms == 0, 1.0, norms)
-    left = unit[active:, at]
+    left = own[active:]
     free = _independent_columns(left)
     if len(free) == len(at):
         return InseparableDirections()
@@ -51,13 +50,19 @@ def inseparable_part(triangle: Array, active: int, group: tuple[int, ...]) -> In
     _, sizes, right = np.linalg.svd(left, full_matrices=True)
     null = right[int(np.sum(sizes > _ALIKE)) :]
     taking: set[int] = set()
+    model = _unit_columns(triangle[:active, :active])
     for direction in null:
-        whole = unit[:, at] @ direction
-        parts, *_ = np.linalg.lstsq(unit[:active, :active], whole[:active], rcond=1e-10)
+        parts, *_ = np.linalg.lstsq(model, own[:active] @ direction, rcond=1e-10)
         size = np.abs(parts)
         if len(size) and size.max() > _ALIKE:
             taking.update(int(i) for i in np.flatnonzero(size > _SHARE * size.max()))
     return InseparableDirections(tuple(sorted(taking)), held, not free)
+
+
+def _unit_columns(columns: Array) -> Array:
+    """The columns at length one; those of nothing as they are."""
+    norms = np.linalg.norm(columns, axis=0)
+    return columns / np.where(norms == 0, 1.0, norms)
 
 
 def _independent_columns(columns: Array) -> list[int]:

@@ -262,10 +262,18 @@ def _likeliest_size(at: MaximumLikelihood, noise: NoiseModel, name: str) -> Nois
     with it from zero.
     """
     trials = [noise.with_values({name: size}) for size in _GUST_SIZES]
-    parts = predict_cases([(at.prepared, trial) for trial in trials])
+    best, height = likeliest_noise(at.prepared, trials)
+    return best if height > at.log_likelihood else None
+
+
+def likeliest_noise(
+    prepared: FilterInputs, trials: Sequence[NoiseModel]
+) -> tuple[NoiseModel, float]:
+    """The likeliest of some noise models as they are, and its log-likelihood."""
+    parts = predict_cases([(prepared, trial) for trial in trials])
     heights = [log_likelihood(p) for p in parts]
     best = int(np.argmax(heights))
-    return trials[best] if heights[best] > at.log_likelihood else None
+    return trials[best], heights[best]
 
 
 def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
@@ -281,7 +289,8 @@ def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
     now = maximise_likelihood(part, (), at.noise, steps=_LOOK)
 
     def look_at(addition: AdditionalNoise) -> _TermTrial:
-        noise = now.noise.with_terms(addition.terms, addition.values)
+        trials = [now.noise.with_terms(addition.terms, start) for start in addition.starts]
+        noise = likeliest_noise(part, trials)[0]
         look = maximise_likelihood(part, (), noise, steps=_LOOK)
         gain = look.log_likelihood - noise_penalty(noise, at.noise, part) - now.log_likelihood
         return _TermTrial(gain, look.noise, addition.terms[0].kind)

@@ -17,9 +17,10 @@ from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.noise import NoiseTerm, size_limits
 from spiral.types.invalid import bridged
-from spiral.types.noise import Kind
+from spiral.types.noise import FORCES, Kind
 
 _SHARED = 0.7  # of the size of white noise, that it and a coloured one start with (half of it)
+_LARGE, _SMALL = 0.5, 0.1  # of the innovations' rms, that noise of a sensor starts with
 _SEGMENT, _SHORT = 512, 32  # samples of a piece of a spectrum, at most and at least
 _STANDS_OUT = 4.0  # times the median power from which a line may be one
 _GUST, GUST_TIMES = 0.05, (0.003, 0.03)  # sizes of a gust to begin with; times, of the record
@@ -30,39 +31,57 @@ _OWN_LINE = 0.25  # share of a reading's power at a line (half its amplitude) th
 
 @dataclass(frozen=True)
 class AdditionalNoise:
-    """One step of the selection: noise terms added together, with start values of all sizes."""
+    """One step of the selection: noise terms added together, with start values of all sizes.
+
+    Of several ``starts`` the likeliest is where it begins.
+    """
 
     terms: tuple[NoiseTerm, ...]
-    values: dict[str, float]
+    starts: tuple[dict[str, float], ...]
 
 
 def additional_noise_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
-    """The noise terms that may be added next.
-
-    Noise of a sensor that a random force has made superfluous starts at half the innovations' rms.
-    """
+    """The noise terms that may be added next."""
     task, noise = now.prepared[0][0], now.noise
-    channels, dt = task.compiled.traced.channels, task.series.dt
-    missed = np.sqrt(np.mean(now.predictions[0].misses ** 2, axis=0))
-    white = {
-        c: max(noise.values[f"white.{c}"], size_limits(task, f"white.{c}")[0], 0.5 * float(m))
-        for c, m in zip(channels, missed, strict=True)
-    }
+    channels = task.compiled.traced.channels
     if not noise.has_kind("coloured") and not noise.has_kind("band"):
         kinds: tuple[tuple[Kind, float], ...] = (("coloured", 4.0), ("band", 1.0))
         alone = {channels, (_most_coloured_channel(now),)}  # one sensor does not pay for the others
         for (kind, steps), some in itertools.product(kinds, sorted(alone, key=len, reverse=True)):
             terms = tuple(NoiseTerm(kind, c) for c in some)
-            sizes = {t.size: _SHARED * white[t.where] for t in terms}
-            less = {f"white.{c}": _SHARED * white[c] for c in some}
-            yield AdditionalNoise(terms, sizes | less | {f"{kind}.time": steps * dt})
+            time = {f"{kind}.time": steps * task.series.dt}
+            starts = tuple(v | time for v in _initial_sensor_noise(now, terms))
+            yield AdditionalNoise(terms, starts)
     for term in (NoiseTerm("drift", c) for c in channels):
         if term not in noise.terms:
-            yield AdditionalNoise((term,), {term.size: initial_drift_size(task, term.where)})
+            yield AdditionalNoise((term,), ({term.size: initial_drift_size(task, term.where)},))
     if not noise.has_kind("gust"):
         terms = tuple(NoiseTerm("gust", g) for g in noise_groups(task))
         for values in initial_gust_sizes(task, terms):
-            yield AdditionalNoise(terms, values)
+            yield AdditionalNoise(terms, (values,))
+
+
+def _initial_sensor_noise(
+    now: MaximumLikelihood, terms: Sequence[NoiseTerm]
+) -> Iterator[dict[str, float]]:
+    """Initial sizes of coloured noise of sensors, of the white noise and forces beside it.
+
+    Where a random force has taken in what the noise does, misses are large and white noise small:
+    noise of half the innovations' rms, or of a tenth of it beside forces that are as much smaller.
+    """
+    task, noise = now.prepared[0][0], now.noise
+    channels = task.compiled.traced.channels
+    missed = np.sqrt(np.mean(now.predictions[0].misses ** 2, axis=0))
+    forces = [t.size for t in noise.terms if t.kind in FORCES]
+    for share in (_LARGE, _SMALL):
+        values = {}
+        for term in terms:
+            white = f"white.{term.where}"
+            least = share * float(missed[channels.index(term.where)])
+            size = max(noise.values[white], size_limits(task, white)[0], least)
+            values |= {term.size: _SHARED * size, white: _SHARED * size}
+        yield values
+    yield values | {size: _SMALL * noise.values[size] for size in forces}
 
 
 def _most_coloured_channel(now: MaximumLikelihood) -> str:
@@ -118,7 +137,8 @@ def vibration_terms(now: MaximumLikelihood) -> Iterator[AdditionalNoise]:
         white = now.noise.values[f"white.{channel}"]
         size = max(white, size_limits(task, f"white.{channel}")[0])
         time = 1 / (2 * np.pi * float(hertz[top]))
-        yield AdditionalNoise((term,), {term.size: size, term.time: time, term.damping: _NARROW})
+        start = {term.size: size, term.time: time, term.damping: _NARROW}
+        yield AdditionalNoise((term,), (start,))
 
 
 def initial_correlation_time(task: FilterInput, share: float) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -29,14 +28,6 @@ from spiral.types.source import Source
 from spiral.types.system import System
 
 _TIME_COLUMNS = ("time", "t")
-_UNIT_OF_TIME = {
-    **dict.fromkeys(("us", "microseconds", "micros"), "us"),
-    **dict.fromkeys(("ms", "msec", "milliseconds", "millis"), "ms"),
-    **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
-    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
-    "days": "day",
-}
-"""Last words of a time column's name that say a unit other than seconds."""
 _NOT_RESAMPLED = {
     "missing": "record.fill_gaps=1 interpolates them before the rate is changed",
     "hold": "after an anti-alias filter no input is held",
@@ -398,7 +389,9 @@ class Columns(Source):
         named = {n: table.units[c] for n, c in columns.items() if c in table.units}
         written = getattr(system, "written_units", {})  # those of a definition that is in SI now
         declared = {n: written[n][0] for n in columns if n in written}
-        return {**declared, **named, **by_column, **given}
+        ends = {n: own_units.unit_at_end(c, system, n) for n, c in columns.items() if n in allowed}
+        ends = {n: unit for n, unit in ends.items() if unit}
+        return {**declared, **ends, **named, **by_column, **given}
 
 
 def _usual_time_column(table: Table) -> str:
@@ -445,20 +438,12 @@ def _is_constant(given: str, table: Table) -> bool:
         return False
 
 
-def _describe_clock(clock: Mapping[str, str], unit: str) -> str:
-    """Where time is from and in what unit; a doubt where the column's name says another one."""
-    said = f"time from {clock['time']!r} in {unit or 's'}"
-    last = re.sub(r".*([\W_]|[a-z](?=[A-Z]))", "", clock["time"].strip())
-    named = _UNIT_OF_TIME.get(last.lower())
-    if unit or named is None:
-        return said
-    return f"{said} (if it is in {named}: record.units='{{time: {named}}}')"
-
-
 def _describe_layout(system: System, layout: ColumnLayout, rate: float | None) -> str:
     """What was taken for what, in words."""
     clock, units = layout.clock, layout.units
-    words = [_describe_clock(clock, units.get("time", "")) if clock else f"{rate:g} Hz"]
+    words = [
+        f"time from {clock['time']!r} in {units.get('time', 's')}" if clock else f"{rate:g} Hz"
+    ]
     for name, column in (*layout.channels.items(), *layout.inputs.items()):
         unit = units.get(name, system.unit_of(name))
         zero = layout.conversion.get(name, (1.0, 0.0))[1]

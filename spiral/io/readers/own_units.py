@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import fields, replace
 
@@ -15,6 +16,22 @@ from spiral.types.units import base_form, conversion
 _TURN = 2 * np.pi
 _COLD, _COLDEST = -90.0, 150.0  # of numbers that are degrees Celsius, sooner than kelvins
 _NEAR_ZERO = 0.05  # of what a series covers
+_BEFORE = re.compile(r".*[\W_]")  # what stands before a name's last word: speed_rpm, angle-deg
+_BEFORE_TIME = re.compile(r".*(?:[\W_]|[a-z](?=[A-Z]))")  # and timeMs
+_SAID = re.compile(
+    "[num\u00b5chkMG](m|g|s|A|V|W|N|Pa|Hz|J|K|bar|rad|l|L|F|H|T|Ohm|mol)"
+    "|Pa|Hz|bar|rad|deg|rpm|rps|psi|degC|degF|mol"
+)
+"""Endings of names that are units; ``in``, ``min`` or ``pc`` are words or indices sooner."""
+_UNIT_OF_TIME = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("us", "microseconds", "micros"), "us"),
+    **dict.fromkeys(("ms", "msec", "milliseconds", "millis"), "ms"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
+    "days": "day",
+}
+"""Last words of a time column's name that say a unit."""
 _ANY = "cd"  # candela, which no system uses: a series that takes it has its unit set by the field
 
 
@@ -38,6 +55,24 @@ def conversion_to_system(given: str, system: System, name: str) -> tuple[float, 
             raise
         own = f"; where {given!r} is what the machine works in, system.{field}='{given}'"
         raise InputError(error.given, error.expected, f"{error.try_}{own}") from error
+
+
+def unit_at_end(column: str, system: System, name: str) -> str:
+    """The unit that a column's name ends with (``speed_rpm``); empty where it names none.
+
+    It counts where it has the dimension of the series. A single letter is an index as often, and
+    counts where it is the series' own unit.
+    """
+    if name == "time":
+        return _UNIT_OF_TIME.get(_BEFORE_TIME.sub("", column.strip()).lower(), "")
+    said, own = _BEFORE.sub("", column.strip()), system.unit_of(name)
+    if said == own or not _SAID.fullmatch(said):
+        return said if said == own else ""
+    try:
+        conversion(said, own, name)
+    except InputError:
+        return ""
+    return said
 
 
 def unit_doubts(
