@@ -27,7 +27,7 @@ the test error is not asked: process noise moves what runs freely.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from spiral.inference.disturbances import (
     coloured_noise,
@@ -220,7 +220,7 @@ def _largest_spread(comparison: Comparison, settings: Settings) -> float:
     values = np.array([max(comparison.disturbed_values, 1.0), 1.0, 1.0])
     spread = float(np.sum(made**2 / values))
     nu = float(made.sum() ** 2 / spread) if 0 < spread < np.inf else 1.0
-    return max(float(chi2.isf(_EXCEEDED, nu)) / nu, settings.chi2_limit) * float(made.sum())
+    return max(float(special.chdtri(nu, _EXCEEDED)) / nu, settings.chi2_limit) * float(made.sum())
 
 
 def is_free_run_carried_away(comparison: Comparison) -> bool:

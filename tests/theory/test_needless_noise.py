@@ -17,7 +17,10 @@ from spiral.inference.likelihood.fitting import (
     with_estimate,
 )
 from spiral.inference.likelihood.needless_noise import drop_needless_noise
-from spiral.inference.likelihood.seed_fit import restart_from_given_values
+from spiral.inference.likelihood.seed_fit import (
+    restart_from_given_values,
+    restart_from_sensor_noise,
+)
 from spiral.inference.problem import silent
 from spiral.inference.simulate import simulate
 from spiral.types.model import seed_model
@@ -114,3 +117,24 @@ def test_a_start_that_ends_at_the_same_values_selects_no_noise_anew(monkeypatch)
     off = replace(off, prepared=prepared)
     restart_from_given_values(assembly, LikelihoodFit(with_estimate(fit.state, off), off), silent)
     assert len(asked) == 1
+
+
+def test_a_restart_that_ends_where_the_noise_was_selected_selects_it_no_more(monkeypatch):
+    """And it does where the fit that it was selected from had other noise, or where none is."""
+    assembly, state = unfitted(pushed(1, 8.0))
+    begun = fit_by_likelihood(assembly, state)
+    sizes = {"gust.x_rate": 0.1, "gust.time": LASTING / RATE}
+    noise = begun.estimate.noise.with_terms((NoiseTerm("gust", "x_rate"),), sizes)
+    fit, asked = fit_by_likelihood(assembly, begun.state, noise, steps=1), []
+    monkeypatch.setattr(seed_fit, "is_noise_settled", lambda *_: False)
+    monkeypatch.setattr(seed_fit, "is_white", lambda *_: False)
+    monkeypatch.setattr(
+        seed_fit, "select_noise_model", lambda _, again, __: asked.append(again) or again
+    )
+    assert restart_from_sensor_noise(assembly, fit, silent, begun) is fit
+    assert asked == []
+    other = begun.estimate.noise.with_values({"force.observed": 0.5})
+    elsewhere = fit_by_likelihood(assembly, begun.state, other, steps=0)
+    restart_from_sensor_noise(assembly, fit, silent, elsewhere)
+    restart_from_sensor_noise(assembly, fit, silent)
+    assert len(asked) == 2

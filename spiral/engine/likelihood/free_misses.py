@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy import special
 
 from spiral.engine.statistics import autocorrelation
 from spiral.types.record import Array
@@ -59,4 +59,4 @@ def free_run_level(gain: float, nu: float, known: int, added: int) -> float:
     if not left > 0:
         return 1.0
     ratio = np.expm1(2 * max(gain, 0.0) / nu)  # (E_0^2 - E_1^2) / E_1^2
-    return float(fisher.sf(ratio * left / added, added, left))
+    return float(special.fdtrc(added, left, ratio * left / added))

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from spiral.engine.filter.extended import FilterSettings
 from spiral.engine.filter.task import FilterInput
@@ -67,7 +67,7 @@ def independent_values(spreads: Sequence[FreeSpread]) -> float:
     variance = 0.0
     for share, spread in zip(shares, spreads, strict=True):
         freedom = len(spread.squares) - 1
-        largest = freedom / chi2.ppf(_SURE, freedom)
+        largest = freedom / special.chdtri(freedom, 1 - _SURE)
         variance += share**2 * spread.squares.var(ddof=1) * largest
     return float(max(2 * mean**2 / variance, 1.0)) if variance > 0 else 1.0
 

@@ -65,6 +65,7 @@ from spiral.types.noise import CORRELATED, FORCES
 
 _HEAT = 8  # scoring steps of each start
 _SAME = 0.02  # log-likelihood a reading up to which two starts have led to one place
+_ALIKE = 0.1  # share of a size up to which two fits have the same noise
 _WINDOWS = 2  # window lengths of a start from windows
 _SHOWN = 0.1  # standard errors by which steps of half the length may move an estimate
 _AWAY = 100.0  # factor from the given value beyond which a fitted one has run away
@@ -190,20 +191,38 @@ def is_noise_settled(assembly: Assembly, fit: LikelihoodFit) -> bool:
     return is_start_settled(assembly, fit) and not has_noiseless_sensor(fit)
 
 
+def _ends_beside_same_noise(one: LikelihoodFit, other: LikelihoodFit) -> bool:
+    """Whether two fits lead to one place, with noise of the same terms and nearly the same sizes.
+
+    What differs then is how far they have crept along a valley of the likelihood.
+    """
+    task, mine, others = one.estimate.prepared[0][0], one.estimate.noise, other.estimate.noise
+    if mine.terms != others.terms or not _lead_to_one_place(one, other):
+        return False
+    return all(
+        abs(size - others.values[name])
+        <= _ALIKE * max(size, others.values[name]) + size_limits(task, name)[0] / _ALIKE
+        for name, size in mine.values.items()
+    )
+
+
 def restart_from_sensor_noise(
-    assembly: Assembly, fit: LikelihoodFit, progress: Progress
+    assembly: Assembly, fit: LikelihoodFit, progress: Progress, begun: LikelihoodFit | None = None
 ) -> LikelihoodFit:
     """The fit restarted with all of its residual taken for sensor noise, if that is likelier.
 
     Noise of a sensor and a random force on what it measures look alike over few samples: a fit may
     end where one of them does the work of the other, and what is left is then not white, or white
     beside a sensor without any noise. Noise that is not white looks like motion, so the noise model
-    is selected from there as well.
+    is selected from there as well; but not where that is the place from which it was selected
+    before (``begun``).
     """
     if not fit.estimate.finite or is_noise_settled(assembly, fit):
         return fit
     progress("starting again with sensor noise alone")
     again = fit_by_likelihood(assembly, fit.state, sensor_noise_only(fit), rough=True)
+    if begun is not None and _ends_beside_same_noise(again, begun):
+        return fit
     if not is_white(assembly, again):
         again = select_noise_model(assembly, again, progress)
     fewer = len(fit.estimate.noise.names) - len(again.estimate.noise.names)

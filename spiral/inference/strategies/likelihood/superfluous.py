@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from spiral.inference.evidence.admission import drop_effects
 from spiral.inference.evidence.assembly import Assembly, Variant
@@ -116,5 +116,5 @@ def likelihood_ratio_t(assembly: Assembly, fit: LikelihoodFit, shown: Model) -> 
 
 def _equivalent_t(statistic: float, degrees: int) -> float:
     """The |t| of one normal estimate that is as unlikely as a chi-squared statistic."""
-    single = float(np.sqrt(chi2.isf(chi2.sf(statistic, max(degrees, 1)), 1)))
+    single = float(np.sqrt(special.chdtri(1, special.chdtrc(max(degrees, 1), statistic))))
     return min(single, float(np.sqrt(statistic)))

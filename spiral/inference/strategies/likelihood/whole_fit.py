@@ -220,12 +220,13 @@ def _search_noise(
     progress: Progress, anew: bool, assembly: Assembly, fit: LikelihoodFit
 ) -> LikelihoodFit:
     """The fit with the noise model that its records prefer, restarted where that may lead on."""
+    begun = fit
     fit = select_noise_model(assembly, fit, progress)
     fit = restart_from_given_values(assembly, fit, progress)
     if anew and is_noise_settled(assembly, fit):  # else it is selected anew from sensor noise alone
         fit = reselect_noise_model(assembly, fit, progress)
     else:
-        fit = restart_from_sensor_noise(assembly, fit, progress)
+        fit = restart_from_sensor_noise(assembly, fit, progress, begun)
     return restart_vanished_noise(assembly, fit)
 
 
