@@ -9,8 +9,15 @@ from scipy.signal import lfilter
 
 from spiral.engine.likelihood.fit import add_standard_errors, maximise_likelihood
 from spiral.engine.likelihood.free_spread import FreeSpread, free_spread, independent_values
-from spiral.engine.likelihood.noise import NoiseModel, NoiseTerm, first_noise
+from spiral.engine.likelihood.noise import (
+    NoiseModel,
+    NoiseTerm,
+    first_noise,
+    noise_matrices,
+)
+from spiral.engine.likelihood.predict import predict_readings
 from spiral.engine.resting import state_jacobian
+from spiral.inference.evidence.horizons import misses_ahead
 from spiral.inference.likelihood.fitting import (
     continue_fit,
     fit_by_likelihood,
@@ -133,6 +140,26 @@ def test_slow_noise_that_hardly_moves_is_told_as_an_offset_and_is_part_of_a_free
     assert said.startswith("sensor x reads")
     assert " m less than the model" in said
     assert share == pytest.approx(30, abs=2)
+
+
+def test_what_a_sensor_has_drifted_by_is_part_of_what_is_forecast():
+    """A zero that wandered off: ten samples ahead readings are missed by their white noise alone."""
+    record = record_of(3, samples=3000)
+    spread = float(np.std(record.channels["x"]))
+    wander = spread * np.linspace(0.0, 1.0, record.samples)
+    record = replace(record, channels={"x": record.channels["x"] + wander})
+    task, settings = task_of(record)
+    term = NoiseTerm("drift", "x")
+    noise = first_noise(task, 0.0).with_terms((term,), {term.size: 0.1 * spread})
+    found = maximise_likelihood(((task, settings),), (), noise, steps=10)
+    run = predict_readings(task, settings, found.noise, keep=True)
+    parts = noise_matrices(task, settings, found.noise)
+    steps, first = 10, 500
+    known = parts.seen @ np.linalg.matrix_power(parts.phi, steps)
+    with_it = misses_ahead(task, settings, run.means, first, steps, known)
+    without = misses_ahead(task, settings, run.means, first, steps)
+    assert np.std(with_it) == pytest.approx(found.noise.values["white.x"], rel=0.1)
+    assert np.sqrt(np.mean(without**2)) > 0.4 * spread
 
 
 def test_a_force_with_a_memory_carries_a_free_run_as_a_linear_machine_says():

@@ -5,7 +5,8 @@ An extended Kalman filter runs over each test record, the model's parameters hel
     x^(t | t) = x^(t | t - 1) + K_t (y(t) - h(x^(t | t - 1))),
     y^(t + h | t) = h(phi_h(x^(t | t))),
 
-phi_h being the model's flow over a time h under the record's inputs, without measurements. So each
+phi_h being the model's flow over a time h under the record's inputs, without measurements (what is
+known at t of noise of the sensors that has a memory, as a drift has, is added). So each
 prediction starts from a state that only the past of the test record determines. The measurement
 noise is the record's; the process noise, which says how far the filter may leave the model, is the
 most likely one on a stretch of the fitted records, so that the test record tunes nothing. What
@@ -170,9 +171,14 @@ def forecast_misses(
 
 
 def misses_ahead(
-    task: FilterInput, settings: FilterSettings, means: Array, first: int, steps: int
-) -> Array:
-    """(starts, channels) y(t + h) - h(phi_h(x^(t | t)))."""
+    task: FilterInput, settings: FilterSettings, means: Array, first: int, steps: int,
+    remembered: Array | None = None,
+) -> Array:  # fmt: skip
+    """(starts, channels) y(t + h) - h(phi_h(x^(t | t))) - R z^(t | t).
+
+    ``remembered`` : R (channels, noise states), what noise of the sensors that is known at a start
+    still adds to readings so much later; nothing where left out.
+    """
     series, n = task.series, len(task.states)
     last = series.samples - 1 - steps
     count = min(_STARTS, max(_COVER * (last - first) // max(steps, 1), 1))
@@ -190,6 +196,8 @@ def misses_ahead(
         )  # fmt: skip
         if ok:
             misses[i] = series.y[start + steps] - readings[start + steps]
+            if remembered is not None:
+                misses[i] -= remembered @ means[start, n + len(tracked) :]
     return misses
 
 

@@ -20,7 +20,7 @@ from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.free_spread import free_spread, independent_values
 from spiral.engine.likelihood.free_uncertainty import doubt_along_readings, free_doubt
 from spiral.engine.likelihood.hidden_force import hidden_force_spread, larger_forces
-from spiral.engine.likelihood.noise import NoiseModel, sensor_autocovariance
+from spiral.engine.likelihood.noise import NoiseModel, noise_matrices, sensor_autocovariance
 from spiral.engine.likelihood.predict import predict_readings
 from spiral.engine.resting import state_jacobian
 from spiral.inference.disturbances import input_sentences
@@ -305,7 +305,11 @@ def _make_forecaster(
                 settings = replace(settings, start=task.start)
             run = predict_readings(own, settings, noise, keep=True)
             if run.whole:
-                return run.misses[first:], misses_ahead(own, settings, run.means, first, steps)
+                parts = noise_matrices(own, settings, noise)
+                remembered = parts.seen @ np.linalg.matrix_power(parts.phi, steps)
+                return run.misses[first:], misses_ahead(
+                    own, settings, run.means, first, steps, remembered
+                )
         lost = np.full((task.series.samples - first, task.series.y.shape[1]), np.inf)
         return lost, lost
 
