@@ -143,7 +143,7 @@ def test_slow_noise_that_hardly_moves_is_told_as_an_offset_and_is_part_of_a_free
 
 
 def test_what_a_sensor_has_drifted_by_is_part_of_what_is_forecast():
-    """A zero that wandered off: ten samples ahead readings are missed by their white noise alone."""
+    """A zero that wandered off: ten samples ahead white noise alone is missed."""
     record = record_of(3, samples=3000)
     spread = float(np.std(record.channels["x"]))
     wander = spread * np.linspace(0.0, 1.0, record.samples)
