@@ -173,7 +173,8 @@ class InputPlay(InputEffect):
     Lash of a gear or a linkage, the stem of a sticking valve: z stays until u has crossed the gap,
     then follows with the time T; whole at s = 1. With a share below one, part of it follows at
     once: the loop of a magnet or a ceramic in straight lines (Krasnosel'skii and Pokrovskii,
-    Systems with Hysteresis, 1989). Without a gap it is ``actuator_lag``.
+    Systems with Hysteresis, 1989). Where its corner is rounded by w, z begins to follow at g - w.
+    Without a gap it is ``actuator_lag``.
     """
 
     special = ("actuator_lag",)
@@ -181,9 +182,9 @@ class InputPlay(InputEffect):
     states = (State("followed", "position", like="position"),)
     parameters = (
         Parameter("share", "", lower=0.0),
-        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.05, 0.15, 0.4)),
+        Parameter("gap", "position", lower=0.0, role="shape", grid=(0.05, 0.15, 0.4), spread=True),
         WIDTH,
-        Parameter("time_constant", "s", lower=0.0, role="shape", grid=(0.1,)),
+        Parameter("time_constant", "s", lower=0.0, role="shape", grid=(0.02, 0.1)),
     )
 
     def drive(self, at, u, p):
@@ -211,7 +212,9 @@ class InputHysteresis(InputEffect):
     states = (State("followed", "position", like="position"), State("held", "position"))
     parameters = (
         Parameter("share", "", lower=0.0),
-        Parameter("length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6)),
+        Parameter(
+            "length", "position", lower=0.0, role="shape", grid=(0.05, 0.2, 0.6), spread=True
+        ),
         Parameter("asymmetry", "", lower=-2.0, upper=2.0, role="shape", start=0.0),
         Parameter("time_constant", "s", lower=0.0, role="shape", grid=(0.1,)),
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from spiral.engine.series import MOST_STABLE, Series, sample_inputs, stable_steps
 from spiral.physics.compile import CompiledModel
+from spiral.physics.starts import fill_declared_starts
 from spiral.physics.trace import TracedModel
 from spiral.types.record import Array
 
@@ -86,7 +87,8 @@ def resting_jacobian(
 ) -> Array:
     """f_x (n, n) at rest under ``inputs``, by default the largest, as near as the record comes.
 
-    What a channel shows is no nearer to zero than its readings. Where no number of steps would do
+    What a channel shows is no nearer to zero than its readings, and hidden states with a declared
+    start are there: a pressure of a manifold is never zero. Where no number of steps would do
     there (a concentration that divides, under zero), hidden states of first order are where they
     rest.
     """
@@ -97,6 +99,7 @@ def resting_jacobian(
     for name, channel in traced.shown.items():
         seen = series.y[:, channel]
         x[traced.states.index(name)] = np.clip(0.0, np.nanmin(seen), np.nanmax(seen))
+    fill_declared_starts(traced, x, u, known=traced.shown)
     x[x == 0] = REST
     matrix = state_jacobian(compiled, values, u, x)
     if stable_steps(np.linalg.eigvals(matrix), series.dt) < MOST_STABLE:
@@ -109,7 +112,7 @@ def steps_for_stability(compiled: CompiledModel, values: Array, series: Series) 
     """Integration steps per sample that fast modes need at the record's readings to stay stable.
 
     At the samples with the least, the middle and the largest reading of each channel; hidden states
-    of first order are where they would rest there, others at zero.
+    of first order are where they would rest there, others where they are declared to begin.
     """
     traced, hidden = compiled.traced, hidden_of_first_order(compiled.traced)
     inputs, shown, steps = sample_inputs(series.inputs, series.substeps), traced.shown, 1
@@ -117,6 +120,7 @@ def steps_for_stability(compiled: CompiledModel, values: Array, series: Series) 
     for k in np.unique(ranks):
         x = np.zeros(len(traced.states))
         x[[traced.states.index(name) for name in shown]] = series.y[k, list(shown.values())]
+        fill_declared_starts(traced, x, inputs[k], series.y[k], known=shown)
         rest = find_rest_state(compiled, values, x, inputs[k], hidden)
         matrix = state_jacobian(compiled, values, inputs[k], x if rest is None else rest)
         steps = max(steps, stable_steps(np.linalg.eigvals(matrix), series.dt))

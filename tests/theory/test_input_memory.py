@@ -104,11 +104,11 @@ def test_a_ceramic_that_holds_nothing_back_lacks_nothing():
     assert spiral.discover(*stage(1, 0.0), candidates=OFFERED).missing == ()
 
 
-def valve(seed, gap):
+def valve(seed, gap, middle=0.0):
     """A level under a valve whose stem has lash, by the play operator and exact steps."""
     rng, count, dt = np.random.default_rng(seed), 4000, 0.05
-    asked = band_limited(rng, 0.3, (0.05, 1.0), dt * count)(dt * np.arange(count))
-    stem, level, z, x = [], [], 0.0, 0.0
+    asked = middle + band_limited(rng, 0.3, (0.05, 1.0), dt * count)(dt * np.arange(count))
+    stem, level, z, x = [], [], middle, 1.2 * middle
     fine = np.interp(np.arange(20 * count) / 20, np.arange(count), asked)
     for k, u in enumerate(fine):
         z = min(max(z, u - gap), u + gap)
@@ -133,3 +133,13 @@ def test_the_lash_of_a_valve_is_named_and_measured():
     assert found["share"].estimate == pytest.approx(1.0, abs=0.05)
     assert found["gap"].estimate == pytest.approx(0.08, rel=0.05)
     assert spiral.discover(*valve(1, 0.0), candidates=offered).missing == ()
+
+
+def test_the_lash_of_a_valve_that_moves_far_from_zero_is_named():
+    """A gap is tried at shares of how far the input goes to and fro, not of how large it is."""
+    offered = [*OFFERED[:-1], "input_dead_zone", "linear_loss", "rate_limit"]
+    run = spiral.discover(*valve(2, 0.02, middle=4.0), candidates=offered)
+    assert run.missing == ("input_play",)
+    found = run.model.estimates()["input_play"]
+    begins = found["gap"].estimate - found["width"].estimate
+    assert begins == pytest.approx(0.02, rel=0.15)

@@ -117,6 +117,25 @@ def test_a_state_that_is_never_zero_asks_for_no_steps_there(seen):
     assert fastest == pytest.approx(0.05 * ((x.max() / where) ** 2 + 1), rel=1e-6)
 
 
+def test_a_hidden_state_with_a_declared_start_asks_for_no_steps_at_zero():
+    """A pressure in a root of a root: without end at zero, slow where it is declared to begin."""
+    system = spiral.system(
+        ["w' = b*(abs(p/p0)^0.25 - w)", "p' = a*(u - p) - a*p*abs(p/p0)^-0.25"],
+        states={"w": "1", "p": {"unit": "Pa", "start": 2e5}}, inputs={"u": "Pa"}, observed=["w"],
+        parameters={"a": "2 1/s", "b": "1 1/s", "p0": "1e5 Pa"},
+    )  # fmt: skip
+    compiled = compile_model(trace(system, ()), ())
+    time = np.arange(100) * 0.02
+    record = Record("r", time, {"w": 1.1 + 0.05 * np.sin(time)}, {"u": np.full(100, 3e5)})
+    series = prepare_series(system, record, 1)
+    values = np.array([dict(a=2.0, b=1.0, p0=1e5)[k.split(".")[1]] for k in compiled.traced.keys])
+    assert enough_substeps(compiled, values, series) == 1
+    matrix = resting_jacobian(compiled, values, series)
+    place = compiled.traced.states.index("p")
+    slope = -2.0 * (1 + 0.75 * 2.0**-0.25)
+    assert matrix[place, place] == pytest.approx(slope, rel=1e-6)
+
+
 def test_steps_for_stability_are_those_of_decay_and_swing_not_of_growth():
     assert stable_steps(np.array([-6.5]), 20.0) == 65
     assert stable_steps(np.array([100j, -100j]), 1.0) == 50

@@ -125,11 +125,13 @@ def _fastest_level(
 
 
 def _largest_signals(system: System, records: Sequence[Record]) -> dict[str, float]:
-    """Largest |value| and |rate| of every input, and |value| of what sensors report."""
+    """Largest |value| and |rate| of inputs, how far they go from the middle, |value| of sensors."""
     largest = {}
     for port in system.driven:
         given = [(r.inputs[name], r.dt) for r in records for name in port.axes]
         largest[f"{port.name}.position"] = float(max(np.abs(u).max() for u, _ in given))
+        low, high = min(u.min() for u, _ in given), max(u.max() for u, _ in given)
+        largest[f"{port.name}.spread"] = float(0.5 * (high - low))
         largest[f"{port.name}.velocity"] = float(
             max(np.abs(np.diff(u)).max() / dt for u, dt in given)
         )
@@ -172,7 +174,8 @@ def shape_scale(parameter: Parameter, largest: Mapping[str, float], port: Port) 
         less, more = (largest[f"{port.name}.{kind}"] for kind in ("less", "position"))
         return more if less >= _OTHER_SIDE * more else 0.0
     if parameter.unit == "s":
-        farthest, fastest = (largest[f"{port.name}.{kind}"] for kind in ("position", "velocity"))
+        position, fastest = (largest[f"{port.name}.{kind}"] for kind in ("position", "velocity"))
+        farthest = largest.get(f"{port.name}.spread", position)
         return farthest / fastest if fastest > 0 else np.inf
     unit = "velocity" if parameter.unit == "position/s" else parameter.unit  # as formulas have it
     for kind in ("velocity", "position"):

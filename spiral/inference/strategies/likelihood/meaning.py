@@ -19,6 +19,7 @@ from spiral.types.model import Model
 STILL_STATE = (
     "its own state hardly moves in these records: it adds a constant, which another effect may be"
 )
+_REMAINS = 1 / 3  # of a given value, below which an effect has taken its place
 _BEYOND = 100.0  # times its scaled value from which a shape is of no motion in the records
 
 
@@ -34,6 +35,10 @@ def refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
         return Refusal("another interpolation of an input between its samples explains as much")
     if _has_vanished(whole, rival.label):
         return Refusal("fitted to all samples its amplitude is not distinguishable from zero")
+    if (taken := _taken_place(whole, rival.label)) is not None:
+        return Refusal(
+            f"it would take the place of {taken}, from which the record does not tell it"
+        )
     model, variant = whole.refitted.comparison.model, rival.ranked.variant
     for key, share in drifting_parameters(whole.fit.estimate).items():
         if owner_of(without_variant(key)) == rival.label and abs(share) > 1.0:
@@ -88,6 +93,30 @@ def _late_beyond_record(whole: WholeRecordFit, label: str) -> float | None:
     return next((model.values[k] for k in times if abs(model.values.get(k, 0)) > longest), None)
 
 
+def _taken_place(whole: WholeRecordFit, label: str) -> str | None:
+    """A value that surely fell below a third of what was given, beside amplitudes not told alone.
+
+    The record determines both in combination only: the effect does the work of what the model has
+    already (a store that a shaft fills in place of the shaft's own inertia). One whose amplitude is
+    told by itself may take a value's place: a coupling that has play has no other stiffness.
+    """
+    sizes, least = _amplitude_sizes(whole, label), whole.assembly.problem.settings.least_t
+    if not sizes or max(sizes) >= least:
+        return None
+    at, given = whole.fit.estimate, whole.assembly.problem.model.given_values
+    most = {k: abs(value) + least * at.errors.get(k, np.inf) for k, value in at.values.items()}
+    fallen = (k for k, size in most.items() if size < _REMAINS * abs(given.get(k, 0.0)))
+    return next(map(without_variant, fallen), None)
+
+
+def _amplitude_sizes(whole: WholeRecordFit, label: str) -> list[float]:
+    """|t| of every amplitude of an effect; none where one has no error."""
+    model = whole.refitted.comparison.model
+    known = model.estimates().get(label, {})
+    sizes = [known[parameter_of(key)].t for key in model.amplitudes(label)]
+    return [abs(t) for t in sizes if t is not None] if None not in sizes else []
+
+
 def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
     """Whether no amplitude of an effect is told from zero, by its error or by the likelihood."""
     model, refitted = whole.refitted.comparison.model, whole.refitted
@@ -95,6 +124,6 @@ def _has_vanished(whole: WholeRecordFit, label: str) -> bool:
     known, least = model.estimates().get(label, {}), whole.assembly.problem.settings.least_t
     names = [parameter_of(key) for key in model.amplitudes(label)]
     zero = [known[n].estimate == 0.0 for n in names]
-    sizes = [abs(t) for n in names if (t := known[n].t) is not None]
-    faint = len(sizes) == len(names) and not max([*sizes, told], default=np.inf) >= least
+    sizes = _amplitude_sizes(whole, label)
+    faint = bool(sizes) and not max([*sizes, told]) >= least
     return bool(names) and (all(zero) or faint)
