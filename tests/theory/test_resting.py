@@ -128,7 +128,8 @@ def test_a_hidden_state_with_a_declared_start_asks_for_no_steps_at_zero():
     time = np.arange(100) * 0.02
     record = Record("r", time, {"w": 1.1 + 0.05 * np.sin(time)}, {"u": np.full(100, 3e5)})
     series = prepare_series(system, record, 1)
-    values = np.array([dict(a=2.0, b=1.0, p0=1e5)[k.split(".")[1]] for k in compiled.traced.keys])
+    given = {"system.a": 2.0, "system.b": 1.0, "system.p0": 1e5}
+    values = np.array([given[k] for k in compiled.traced.keys])
     assert enough_substeps(compiled, values, series) == 1
     matrix = resting_jacobian(compiled, values, series)
     place = compiled.traced.states.index("p")
