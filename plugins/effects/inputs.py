@@ -6,7 +6,7 @@ an effect is there: 1 where the actuator is as the equation says.
 
 from __future__ import annotations
 
-from spiral_plugins.effects.late import DelayedValue, half_sample_remark, late_by
+from spiral_plugins.effects.late import SCALE, DelayedValue, half_sample_remark, late_by
 from spiral_plugins.effects.restoring import WIDTH, excess_over_gap
 from spiral_plugins.effects.sensors import scale_remark
 
@@ -242,10 +242,12 @@ class InputDelay(DelayedValue, InputEffect):
 
     A bus, a controller's cycle, transport in a pipe. By four states: Pade's second approximation of
     T / 2, twice (Baker, Graves-Morris, Pade Approximants), right in phase to (2 pi f T)^5 / 11520
-    at the frequency f. All sensors late by T look the same.
+    at the frequency f. All sensors late by T look the same. A negative T is an input that was
+    recorded late.
     """
 
     twins = ("delay", "sensor_lag")
+    parameters = (Parameter("time", "s"), SCALE)
 
     def drive(self, at, u, p):
         """u(t - T)."""

@@ -388,3 +388,41 @@ def test_a_dead_zone_behind_a_command_that_acts_a_sample_late_is_alone_what_is_m
     assert run.rounds[-1].comparison.between == {"force": "zero_order_1"}
     gap = run.model.estimates()["input_dead_zone"]["gap"]
     assert gap.estimate == pytest.approx(2.0, abs=3 * gap.se)
+
+
+def test_an_input_that_was_recorded_late_by_itself_is_told():
+    """Of two smooth inputs one is written two samples late: it acts before its record says so."""
+    rng, dt, count = np.random.default_rng(7), 0.05, 3000
+    turns, fine = rng.uniform(0.1, 3.0, (2, 20)), 20
+    phases = rng.uniform(0, 2 * np.pi, (2, 20))
+
+    def given(which, time):
+        return np.sin(turns[which] * time[:, None] + phases[which]).sum(axis=1)
+
+    steps = dt / fine * np.arange(count * fine)
+    acting, decay, value = (
+        1.5 * given(0, steps) + 0.7 * given(1, steps),
+        np.exp(-dt / fine / 0.8),
+        0,
+    )
+    x = np.zeros(count)
+    for k in range(count * fine):
+        if k % fine == 0:
+            x[k // fine] = value
+        value = value * decay + 0.5 * (acting[k] + acting[min(k + 1, len(acting) - 1)]) * (
+            1 - decay
+        )
+    seen = x + 0.01 * x.std() * rng.normal(size=count)
+    system = spiral.system(
+        ["T*x' = k*u + d*w - x"], states={"x": "m"}, inputs={"u": "1", "w": "1"}, observed=["x"],
+        parameters={"T": (0.85, "s"), "k": (1.4, "m"), "d": (0.75, "m")}, free=["T", "k", "d"],
+    )  # fmt: skip
+    time = dt * np.arange(count)
+    inputs = {"u": given(0, time - 2 * dt), "w": given(1, time)}
+    record = make_record(system, "late", time, {"x": seen}, inputs)
+    candidates = ["input_delay", "input_delay@w", "actuator_lag", "actuator_lag@w", "input_gain"]
+    run = spiral.discover(record, system, candidates=candidates)
+    assert run.missing == ("input_delay",)
+    found = run.model.estimates()["input_delay"]["time"]
+    assert found.estimate == pytest.approx(-2 * dt, abs=0.1 * dt)
+    assert "recorded 0.1 s late" in run.summary
