@@ -36,9 +36,7 @@ def refuse_senseless(whole: WholeRecordFit, rival: Rival) -> Refusal | None:
     if _has_vanished(whole, rival.label):
         return Refusal("fitted to all samples its amplitude is not distinguishable from zero")
     if (taken := _taken_place(whole, rival.label)) is not None:
-        return Refusal(
-            f"it would take the place of {taken}, from which the record does not tell it"
-        )
+        return Refusal(f"it takes the place of {taken}: the record does not tell them apart")
     model, variant = whole.refitted.comparison.model, rival.ranked.variant
     for key, share in drifting_parameters(whole.fit.estimate).items():
         if owner_of(without_variant(key)) == rival.label and abs(share) > 1.0:
