@@ -87,10 +87,9 @@ def resting_jacobian(
 ) -> Array:
     """f_x (n, n) at rest under ``inputs``, by default the largest, as near as the record comes.
 
-    What a channel shows is no nearer to zero than its readings, and hidden states with a declared
-    start are there: a pressure of a manifold is never zero. Where no number of steps would do
-    there (a concentration that divides, under zero), hidden states of first order are where they
-    rest.
+    What a channel shows is no nearer to zero than its readings. Where no number of steps would do
+    there (a concentration that divides, under zero), states are where they are declared to begin (a
+    manifold's pressure is never zero), or else hidden states of first order where they rest.
     """
     traced = compiled.traced
     largest: Array = np.abs(series.inputs).max(axis=0, initial=0.0)
@@ -99,11 +98,13 @@ def resting_jacobian(
     for name, channel in traced.shown.items():
         seen = series.y[:, channel]
         x[traced.states.index(name)] = np.clip(0.0, np.nanmin(seen), np.nanmax(seen))
-    fill_declared_starts(traced, x, u, known=traced.shown)
     x[x == 0] = REST
-    matrix = state_jacobian(compiled, values, u, x)
-    if stable_steps(np.linalg.eigvals(matrix), series.dt) < MOST_STABLE:
-        return matrix
+    for declared in (False, True):
+        if declared:
+            fill_declared_starts(traced, x, u, known=traced.shown)
+        matrix = state_jacobian(compiled, values, u, x)
+        if stable_steps(np.linalg.eigvals(matrix), series.dt) < MOST_STABLE:
+            return matrix
     rest = find_rest_state(compiled, values, x, u, hidden_of_first_order(traced))
     return matrix if rest is None else state_jacobian(compiled, values, u, rest)
 

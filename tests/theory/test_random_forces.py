@@ -214,10 +214,10 @@ def test_noise_of_a_sensor_is_looked_for_beside_smaller_forces_too():
     From half the misses two steps do not lead to where the noise is seen at all.
     """
     record = record_of(5, samples=3000, noise=0.02)
-    size = 0.003 * np.std(record.truth["x"])
+    size = 0.0003 * np.std(record.truth["x"])
     own = record.truth["x"] + relaxed(np.random.default_rng(5), 3000, 0.8) * size
     prepared = (task_of(replace(record, channels={"x": own}, noise={})),)
-    large = first_noise(prepared[0][0], 0.5, np.array([0.3 * size]))
+    large = first_noise(prepared[0][0], 0.05, np.array([0.1 * size]))
     now = maximise_likelihood(prepared, (), large, steps=0)
     (offered,) = (a for a in additional_noise_terms(now) if a.terms[0].kind == "coloured")
     looks = [
@@ -225,7 +225,7 @@ def test_noise_of_a_sensor_is_looked_for_beside_smaller_forces_too():
         for start in offered.starts
     ]
     best, _ = likeliest_noise(
-        prepared, [large.with_terms(offered.terms, start) for start in offered.starts]
+        prepared, [large.with_terms(offered.terms, start) for start in offered.starts[1:]]
     )
     begun = maximise_likelihood(prepared, (), best, steps=2)
     assert begun.log_likelihood > looks[0].log_likelihood + 100

@@ -290,9 +290,12 @@ def _best_additional_terms(at: MaximumLikelihood) -> list[NoiseModel]:
 
     def look_at(addition: AdditionalNoise) -> _TermTrial:
         trials = [now.noise.with_terms(addition.terms, start) for start in addition.starts]
-        noise = likeliest_noise(part, trials)[0]
-        look = maximise_likelihood(part, (), noise, steps=_LOOK)
-        gain = look.log_likelihood - noise_penalty(noise, at.noise, part) - now.log_likelihood
+        look = maximise_likelihood(part, (), trials[0], steps=_LOOK)
+        if len(trials) > 1 and look.log_likelihood < now.log_likelihood:
+            begin, _ = likeliest_noise(part, trials[1:])
+            again = maximise_likelihood(part, (), begin, steps=_LOOK)
+            look = max(look, again, key=lambda one: one.log_likelihood)
+        gain = look.log_likelihood - noise_penalty(look.noise, at.noise, part) - now.log_likelihood
         return _TermTrial(gain, look.noise, addition.terms[0].kind)
 
     offered = (*additional_noise_terms(now), *vibration_terms(now))

@@ -16,6 +16,7 @@ from spiral.engine.filter.noise import noise_groups
 from spiral.engine.filter.task import FilterInput
 from spiral.engine.likelihood.fit import MaximumLikelihood
 from spiral.engine.likelihood.noise import NoiseTerm, size_limits
+from spiral.inference.likelihood.fitting import LITTLE
 from spiral.types.invalid import bridged
 from spiral.types.noise import FORCES, Kind
 
@@ -33,7 +34,8 @@ _OWN_LINE = 0.25  # share of a reading's power at a line (half its amplitude) th
 class AdditionalNoise:
     """One step of the selection: noise terms added together, with start values of all sizes.
 
-    Of several ``starts`` the likeliest is where it begins.
+    Where the first of several ``starts`` does not lead above the noise without them, the likeliest
+    of the others is where they begin.
     """
 
     terms: tuple[NoiseTerm, ...]
@@ -66,22 +68,29 @@ def _initial_sensor_noise(
 ) -> Iterator[dict[str, float]]:
     """Initial sizes of coloured noise of sensors, of the white noise and forces beside it.
 
-    Where a random force has taken in what the noise does, misses are large and white noise small:
-    noise of half the innovations' rms, or of a tenth of it beside forces that are as much smaller.
+    Noise of half the innovations' rms. Where small random forces have taken in what the noise does,
+    misses are far larger than white noise: a tenth of their rms too, and beside smaller forces.
     """
     task, noise = now.prepared[0][0], now.noise
     channels = task.compiled.traced.channels
     missed = np.sqrt(np.mean(now.predictions[0].misses ** 2, axis=0))
-    forces = [t.size for t in noise.terms if t.kind in FORCES]
-    for share in (_LARGE, _SMALL):
+    rms = {t.where: float(missed[channels.index(t.where)]) for t in terms}
+
+    def sizes(share: float) -> dict[str, float]:
         values = {}
         for term in terms:
             white = f"white.{term.where}"
-            least = share * float(missed[channels.index(term.where)])
-            size = max(noise.values[white], size_limits(task, white)[0], least)
-            values |= {term.size: _SHARED * size, white: _SHARED * size}
-        yield values
-    yield values | {size: _SMALL * noise.values[size] for size in forces}
+            least = max(size_limits(task, white)[0], share * rms[term.where])
+            size = _SHARED * max(noise.values[white], least)
+            values |= {term.size: size, white: size}
+        return values
+
+    yield sizes(_LARGE)
+    forces = [t.size for t in noise.terms if t.kind in FORCES]
+    little = all(noise.values[size] <= LITTLE for size in forces)
+    if little and any(noise.values[f"white.{c}"] < _SMALL * size for c, size in rms.items()):
+        yield sizes(_SMALL)
+        yield sizes(_SMALL) | {size: _SMALL * noise.values[size] for size in forces}
 
 
 def _most_coloured_channel(now: MaximumLikelihood) -> str:
