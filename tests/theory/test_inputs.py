@@ -330,10 +330,8 @@ def test_a_limit_has_an_error_where_its_soft_zone_is_not_told(valve):
 
 
 def test_a_value_that_was_held_is_free_once_an_effect_tells_it(valve):
-    """Without the limit T and k are told only together, and one stayed as given, some % off."""
-    tied = valve.rounds[0].details["tied"]
-    assert tied["groups"] == [("system.T", "system.k")]
-    assert len(tied["parameters"]) == 1
+    """Without the limit T and k are told only together; k stayed as given, 5 % off."""
+    assert "system.k" in valve.rounds[0].details["tied"]["parameters"]
     assert valve.missing == ("rate_limit",)
     assert not valve.alias_groups
     assert "keeps the value" not in valve.summary
